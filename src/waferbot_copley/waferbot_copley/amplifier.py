@@ -1,0 +1,347 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The three amplifiers, one tick at a time.
+
+In one tick of the current loop each amplifier measures two line currents (the third follows from
+Kirchhoff's first law), looks up the electrical angle, and turns the current command into three
+terminal voltages:
+
+    command -> phasing (3.1) -> offset -> filters 1, 2 -> peak and I2T limit (3.2, 3.3)
+            -> PI -> 32 / Vbus -> Vbus / Ipeak -> voltage limit -> terminals
+
+This is the order of the thesis (Figs. 3.10 to 3.12, `limit_order` 1). With `limit_order` 0, and
+always in field-oriented mode, offset, filters and limit act on the command before the phasing, as
+in the drive. The loop closes on lines 1 and 2; the voltage of line 3 is minus their sum, which is
+what a third equal loop would give, because its error is minus the sum of theirs.
+
+State and parameters are structured arrays of one element, with one place per axis. The axes do not
+touch one another: an amplifier per axis, each in its own process, gives the same bits as one for
+all three. Inputs of the drive that are not in the lock-step are fields of the state:
+`safe_torque_off`, `following_error_input`, `hall_state`, `motor_temperature`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from waferbot_copley import faults as fault
+from waferbot_copley.commutation import (
+    amplitude_squared,
+    electrical_turn,
+    sine_and_cosine,
+    to_lines,
+    to_rotor_frame,
+)
+from waferbot_copley.current_loop import (
+    FIELD_ORIENTED,
+    UNLIMITED,
+    common_mode,
+    voltage_factor,
+)
+from waferbot_copley.filters import filter_sample
+from waferbot_copley.limiter import (
+    CONTINUOUS_CURRENT,
+    DRIVE,
+    PEAK_CURRENT,
+    USER,
+    VOLTAGE,
+    accumulate,
+    clamp,
+    is_limited,
+)
+from waferbot_copley.settings import AMPLIFIER_PARAMETERS, SCALAR
+from waferbot_lockstep.compiled import compiled
+
+__all__ = [
+    'AMPLIFIER_PARAMETERS',
+    'AMPLIFIER_STATE',
+    'changed',
+    'initial_state',
+    'report',
+    'reset_faults',
+    'step',
+]
+
+AMPLIFIER_STATE = np.dtype(
+    [
+        # inputs beside the lock-step, one place per axis
+        ('safe_torque_off', 'u1', (3,)),  # 1: gate drive removed
+        ('following_error_input', 'u1', (3,)),  # 1: the position loop reports a following error
+        ('hall_state', 'u1', (3,)),  # bit k - 1: Hall sensor of line k; 0: none fitted
+        ('motor_temperature', 'f8', (3,)),  # degC
+        # current loop
+        ('integrator', 'f8', (3, 2)),  # of lines 1 and 2, or of d and q; V per 32 / Ipeak
+        ('filter_memory', 'f8', (3, 2, 2, 2)),  # axis, line (or command), filter, delay
+        ('pending_voltage', 'f8', (3, 3)),  # V, waits one tick with update_delay 1
+        # limits
+        ('i2t_accumulator', 'f8', (3, 2)),  # A^2 s, of the drive and of the user
+        ('i2t_limited', 'u1', (3, 2)),
+        ('heat_sink_temperature', 'f8', (3,)),  # degC
+        # what there is to report
+        ('faults', 'u4', (3,)),
+        ('limits', 'u1', (3,)),  # peak and voltage, since the last report
+        ('reported_faults', 'u4', (3,)),
+        ('reported_limits', 'u1', (3,)),
+    ],
+    align=True,
+)
+"""What the amplifiers remember from tick to tick: an array of one element."""
+
+
+def initial_state(parameters: np.ndarray) -> np.ndarray:
+    """Return the state (`AMPLIFIER_STATE`, shape (1,)) of cold amplifiers, enabled and at rest."""
+    state = np.zeros(1, AMPLIFIER_STATE)
+    state['motor_temperature'] = parameters['ambient_temperature']
+    state['heat_sink_temperature'] = parameters['ambient_temperature']
+    return state
+
+
+def reset_faults(state: np.ndarray, axes: int) -> None:
+    """Clear the faults of the axes in the mask; a cause that persists is found again."""
+    for axis in range(3):
+        if axes >> axis & 1:
+            state['faults'][0, axis] = 0
+
+
+@compiled
+def step(state, parameters, axes, command, line_currents, counts, voltage):
+    """
+    Advance the amplifiers whose bit is set in the whole number `axes` by one tick.
+
+    state, parameters  arrays of one element, `AMPLIFIER_STATE` and `AMPLIFIER_PARAMETERS`
+    command            float64 (3,): current command in A, peak of the sine, positive forward
+    line_currents      float64 (6,): measured currents of lines 1 and 2 of each motor in A,
+                       positive into the motor
+    counts             int64 (4,): newest encoder counts
+    voltage            float64 (9,), out: terminals 1, 2, 3 of each motor in V, against the middle
+                       of the bus; places of other axes are left alone
+
+    All inputs must be finite. A bridge that is off (fault or safe torque off) gives zeros; that
+    its terminals are then open is for the motor's model to know, from the faults.
+    """
+    for axis in range(3):
+        if axes >> axis & 1:
+            _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
+
+
+@compiled
+def _step_axis(state, parameters, axis, command, line_currents, counts, voltage):
+    """Advance one amplifier by one tick; arguments as in `step`."""
+    s = state[0]
+    p = parameters[0]
+    current_1 = line_currents[2 * axis]
+    current_2 = line_currents[2 * axis + 1]
+    counts_of_motor = counts[p['commutation_encoder'][axis]]
+    turn = electrical_turn(
+        counts_of_motor, p['counts_per_electrical_cycle'][axis], p['commutation_offset_turn'][axis]
+    )
+    sine, cosine = sine_and_cosine(turn)
+
+    current_squared = amplitude_squared(current_1, current_2)
+    _warm_heat_sink(s, p, axis, current_squared)
+    limit = _current_limit(s, p, axis, current_squared)
+    _watch(s, p, axis, current_1, current_2, sine, cosine)
+    if s['faults'][axis] & fault.DISABLING:
+        _switch_off(s, axis, voltage)
+        return
+
+    field_oriented = p['mode'][axis] == FIELD_ORIENTED
+    if field_oriented or p['limit_order'][axis] == SCALAR:
+        wanted = _condition(s, p, axis, 0, command[axis])
+        wanted = _limited(s, axis, wanted, limit, p['peak_limit'][axis])
+        wanted_1, wanted_2 = to_lines(0.0, wanted, sine, cosine)
+    else:
+        wanted = 0.0
+        wanted_1, wanted_2 = to_lines(0.0, command[axis], sine, cosine)
+        wanted_1 = _condition(s, p, axis, 0, wanted_1)
+        wanted_2 = _condition(s, p, axis, 1, wanted_2)
+        wanted_3 = -(wanted_1 + wanted_2)
+        wanted_1 = _limited(s, axis, wanted_1, limit, p['peak_limit'][axis])
+        wanted_2 = _limited(s, axis, wanted_2, limit, p['peak_limit'][axis])
+        wanted_3 = _limited(s, axis, wanted_3, limit, p['peak_limit'][axis])
+        # Three clipped sines need not sum to zero; a motor without neutral takes only what does.
+        common = (wanted_1 + wanted_2 + wanted_3) / 3.0
+        wanted_1 -= common
+        wanted_2 -= common
+
+    if field_oriented:
+        current_d, current_q = to_rotor_frame(current_1, current_2, sine, cosine)
+        error_1, error_2 = -current_d, wanted - current_q
+    else:
+        error_1, error_2 = wanted_1 - current_1, wanted_2 - current_2
+    output_1 = p['proportional'][axis] * error_1 + s['integrator'][axis, 0]
+    output_2 = p['proportional'][axis] * error_2 + s['integrator'][axis, 1]
+
+    voltage_1 = output_1 * p['bus_compensation'][axis] * p['bus_gain'][axis]
+    voltage_2 = output_2 * p['bus_compensation'][axis] * p['bus_gain'][axis]
+    if field_oriented:
+        voltage_1, voltage_2 = to_lines(voltage_1, voltage_2, sine, cosine)
+    factor = voltage_factor(voltage_1, voltage_2, p['bus_voltage'][axis], p['voltage_limit'][axis])
+
+    s['integrator'][axis, 0] += p['integral'][axis] * error_1
+    s['integrator'][axis, 1] += p['integral'][axis] * error_2
+    if factor < 1.0:
+        s['limits'][axis] |= VOLTAGE
+        s['integrator'][axis, 0] += p['tracking'][axis] * (factor - 1.0) * output_1
+        s['integrator'][axis, 1] += p['tracking'][axis] * (factor - 1.0) * output_2
+        voltage_1 *= factor
+        voltage_2 *= factor
+    voltage_3 = -(voltage_1 + voltage_2)
+    if p['voltage_limit'][axis] != UNLIMITED:
+        common = common_mode(voltage_1, voltage_2, voltage_3)
+        voltage_1 += common
+        voltage_2 += common
+        voltage_3 += common
+    if p['update_delay'][axis]:
+        pending = s['pending_voltage'][axis]
+        voltage_1, pending[0] = pending[0], voltage_1
+        voltage_2, pending[1] = pending[1], voltage_2
+        voltage_3, pending[2] = pending[2], voltage_3
+    voltage[3 * axis] = voltage_1
+    voltage[3 * axis + 1] = voltage_2
+    voltage[3 * axis + 2] = voltage_3
+
+
+@compiled
+def _warm_heat_sink(s, p, axis, current_squared):
+    """Let the heat sink follow ambient + rise * current^2 in degC with its time constant."""
+    final = p['ambient_temperature'][axis] + p['heat_sink_rise'][axis] * current_squared
+    share = p['heat_sink_share'][axis]
+    s['heat_sink_temperature'][axis] += share * (final - s['heat_sink_temperature'][axis])
+
+
+@compiled
+def _current_limit(s, p, axis, current_squared):
+    """Advance both I2T accumulators; return the limit of the current that holds now, in A."""
+    limit = p['peak_limit'][axis]
+    for owner in (DRIVE, USER):
+        continuous = p['continuous_limit'][axis, owner]
+        accumulator = accumulate(
+            s['i2t_accumulator'][axis, owner], current_squared, continuous, p['tick_s']
+        )
+        limited = is_limited(
+            s['i2t_limited'][axis, owner], accumulator, p['i2t_setpoint'][axis, owner]
+        )
+        s['i2t_accumulator'][axis, owner] = accumulator
+        s['i2t_limited'][axis, owner] = limited
+        if limited:
+            limit = min(limit, continuous)
+    return limit
+
+
+@compiled
+def _watch(s, p, axis, current_1, current_2, sine, cosine):
+    """Find the faults of this tick, keep those that latch."""
+    highest = max(abs(current_1), abs(current_2), abs(current_1 + current_2))
+    found = 0
+    if highest > p['over_current'][axis]:
+        found |= fault.OVER_CURRENT
+    if s['heat_sink_temperature'][axis] > p['drive_over_temperature'][axis]:
+        found |= fault.DRIVE_OVER_TEMPERATURE
+    if s['motor_temperature'][axis] > p['motor_over_temperature'][axis]:
+        found |= fault.MOTOR_OVER_TEMPERATURE
+    if p['bus_voltage'][axis] > p['over_voltage'][axis]:
+        found |= fault.OVER_VOLTAGE
+    if p['bus_voltage'][axis] < p['under_voltage'][axis]:
+        found |= fault.UNDER_VOLTAGE
+    if fault.disagrees_with_halls(
+        sine, cosine, s['hall_state'][axis], p['phasing_tolerance_sine'][axis]
+    ):
+        found |= fault.PHASING
+    if s['following_error_input'][axis]:
+        found |= fault.FOLLOWING_ERROR
+    if p['i2t_fault'][axis] and (s['i2t_limited'][axis, DRIVE] or s['i2t_limited'][axis, USER]):
+        found |= fault.I2T
+    if s['safe_torque_off'][axis]:
+        found |= fault.SAFE_TORQUE_OFF
+    s['faults'][axis] = found | (s['faults'][axis] & p['latched_faults'][axis])
+
+
+@compiled
+def _switch_off(s, axis, voltage):
+    """Put out nothing and forget the past, so that the loop starts afresh when switched on."""
+    s['integrator'][axis, :] = 0.0
+    s['filter_memory'][axis, :, :, :] = 0.0
+    s['pending_voltage'][axis, :] = 0.0
+    for terminal in range(3):
+        voltage[3 * axis + terminal] = 0.0
+
+
+@compiled
+def _condition(s, p, axis, channel, wanted):
+    """Add the offset and pass both filters; `channel` picks the filters' memory."""
+    wanted += p['current_offset'][axis]
+    if p['filtered'][axis]:
+        for number in range(2):
+            wanted = filter_sample(
+                p['filter_coefficients'][axis, number],
+                s['filter_memory'][axis, channel, number],
+                wanted,
+            )
+    return wanted
+
+
+@compiled
+def _limited(s, axis, wanted, limit, peak_limit):
+    """Return the current held within the limit; note it if that was the peak limit."""
+    held = clamp(wanted, limit)
+    if held != wanted and limit == peak_limit:
+        s['limits'][axis] |= PEAK_CURRENT
+    return held
+
+
+@compiled
+def _limits(s, axis):
+    """Return the limits to report: peak and voltage since the last report, I2T as it is now."""
+    if s['i2t_limited'][axis, DRIVE] or s['i2t_limited'][axis, USER]:
+        return s['limits'][axis] | CONTINUOUS_CURRENT
+    return s['limits'][axis]
+
+
+@compiled
+def changed(state):
+    """
+    Return the mask of the axes that have something new to report.
+
+    New is a fault come or gone, I2T run out or recovered, the peak or voltage limit reached. The
+    last two may come and go within a few ticks; they count as new only when they were not in the
+    last report, and their end waits for the next regular one.
+    """
+    s = state[0]
+    axes = 0
+    for axis in range(3):
+        limits, reported = _limits(s, axis), s['reported_limits'][axis]
+        if (
+            s['faults'][axis] != s['reported_faults'][axis]
+            or limits & ~reported
+            or (limits ^ reported) & CONTINUOUS_CURRENT
+        ):
+            axes |= 1 << axis
+    return axes
+
+
+@compiled
+def report(state, parameters, axes, accumulator, setpoint, limits, faults):
+    """
+    Fill the arrays of an `AmplifierState` message for the axes in the mask; begin a new period.
+
+    accumulator, setpoint  float64 (3,) in A^2 s: of the drive or of the user, whichever is nearer
+                           to its set point
+    limits                 uint8 (3,): peak and voltage limits since the last report, I2T now
+    faults                 uint32 (3,): faults that hold now
+    """
+    s = state[0]
+    p = parameters[0]
+    for axis in range(3):
+        if not axes >> axis & 1:
+            continue
+        drive = s['i2t_accumulator'][axis, DRIVE] * p['i2t_setpoint'][axis, USER]
+        user = s['i2t_accumulator'][axis, USER] * p['i2t_setpoint'][axis, DRIVE]
+        owner = USER if user > drive else DRIVE
+        accumulator[axis] = s['i2t_accumulator'][axis, owner]
+        setpoint[axis] = p['i2t_setpoint'][axis, owner]
+        limits[axis] = _limits(s, axis)
+        faults[axis] = s['faults'][axis]
+        s['reported_limits'][axis] = limits[axis]
+        s['reported_faults'][axis] = s['faults'][axis]
+        s['limits'][axis] = 0

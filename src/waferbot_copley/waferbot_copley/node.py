@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The Copley amplifiers as a ROS 2 node: current commands and measured currents in, voltages out.
+
+One node drives the axes named by its parameter `axes`: all three, or one each in three nodes. Every
+setting of an amplifier is a parameter (`y_linear.peak_current`, ...). Service `~/reset_faults` clears
+the latched faults, `~/safe_torque_off` takes the gate drive away and gives it back.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rclpy.parameter import Parameter as RosParameter
+from std_srvs.srv import SetBool, Trigger
+from waferbot_lockstep.contract import (
+    ALL_ENCODERS,
+    AMPLIFIER_STATE,
+    AXES,
+    CURRENT_COMMAND,
+    ENCODERS_TOPIC,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    SLOW_DIVIDER,
+    Topic,
+    axes_mask,
+)
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.node import LOCKSTEP, LockstepNode, run_node
+
+from waferbot_copley import amplifier
+from waferbot_copley.settings import amplifier_parameters, settings_of
+
+
+class CopleyNode(LockstepNode):
+    """Current controller of the axes that it is told to drive."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Declare the settings of the driven axes and compile the current loop."""
+        self._settings: dict[str, dict[str, Any]] = {}
+        super().__init__('copley', {}, (PHASE_VOLTAGES, AMPLIFIER_STATE), **node_options)
+        names = self.declare_parameter('axes', list(AXES)).value
+        self._axes = _mask(names)
+        self.need(PHASE_CURRENTS, self._axes)
+        self.need(CURRENT_COMMAND, self._axes)
+        self.need(ENCODERS_TOPIC, ALL_ENCODERS)
+        self._settings = {axis: self.declare_settings(axis, settings_of(axis)) for axis in names}
+        self._model_parameters = amplifier_parameters(self._settings, self.timing, 'copley')
+        self._model_state = amplifier.initial_state(self._model_parameters)
+        self._tick = 0
+        self._voltage = np.zeros(3 * len(AXES))
+        self._accumulator = np.zeros(len(AXES))
+        self._setpoint = np.zeros(len(AXES))
+        self._limits = np.zeros(len(AXES), np.uint8)
+        self._faults = np.zeros(len(AXES), np.uint32)
+        self._warm_up()
+        self.add_post_set_parameters_callback(self._apply_parameters)
+        self.create_service(Trigger, '~/reset_faults', self._on_reset_faults)
+        self.create_service(SetBool, '~/safe_torque_off', self._on_safe_torque_off)
+
+    @property
+    def tick(self) -> int:
+        """The tick whose voltages come next."""
+        return self._tick
+
+    def on_input(self, topic: Topic) -> None:
+        """Close the current loop of a tick as soon as all its inputs are there."""
+        if self.timekeeping == LOCKSTEP:
+            while self._inputs_complete() and self.outcome is None:
+                self._close_loop()
+                if self.end_tick and self._tick >= self.end_tick:
+                    self.finish()
+        elif topic is PHASE_CURRENTS and all(box.complete for box in self.inboxes.values()):
+            self._tick = self.inboxes[PHASE_CURRENTS].newest_tick
+            for box in self.inboxes.values():
+                box.now = self._tick
+            self._close_loop()
+
+    def _due(self, topic: Topic) -> bool:
+        return self._tick % topic.ticks_between(self.timing) == 0
+
+    def _inputs_complete(self) -> bool:
+        return all(
+            inbox.complete for topic, inbox in self.inboxes.items() if self._due(topic)
+        )
+
+    def _close_loop(self) -> None:
+        amplifier.step(
+            self._model_state,
+            self._model_parameters,
+            self._axes,
+            self.inboxes[CURRENT_COMMAND].values,
+            self.inboxes[PHASE_CURRENTS].values,
+            self.inboxes[ENCODERS_TOPIC].values,
+            self._voltage,
+        )
+        if self.timekeeping == LOCKSTEP:
+            for topic, inbox in self.inboxes.items():
+                if self._due(topic):
+                    inbox.consumed()
+        tick = self._tick
+        self._tick += 1
+        self.give(PHASE_VOLTAGES, tick, self._axes, self._voltage.tolist())
+        axes = self._axes if tick % SLOW_DIVIDER == 0 else amplifier.changed(self._model_state)
+        if axes:
+            self._report(tick, axes)
+
+    def _report(self, tick: int, axes: int) -> None:
+        amplifier.report(
+            self._model_state,
+            self._model_parameters,
+            axes,
+            self._accumulator,
+            self._setpoint,
+            self._limits,
+            self._faults,
+        )
+        self.give(
+            AMPLIFIER_STATE,
+            tick,
+            axes,
+            [
+                *self._accumulator.tolist(),
+                *self._setpoint.tolist(),
+                *self._limits.tolist(),
+                *self._faults.tolist(),
+            ],
+        )
+
+    # ---- what a user changes ---------------------------------------------------------------------
+
+    def check_change(self, changes: Mapping[str, Any]) -> None:
+        """Refuse limits that contradict each other and impossible filters."""
+        if self._settings:
+            amplifier_parameters(self._changed_settings(changes), self.timing, 'copley')
+
+    def _apply_parameters(self, parameters: Sequence[RosParameter]) -> None:
+        changes = {parameter.name: parameter.value for parameter in parameters}
+        self._settings = self._changed_settings(changes)
+        self._model_parameters = amplifier_parameters(self._settings, self.timing, 'copley')
+
+    def _changed_settings(self, changes: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        settings = {axis: dict(values) for axis, values in self._settings.items()}
+        for name, value in changes.items():
+            axis, _, setting = name.partition('.')
+            if axis in settings and setting in settings[axis]:
+                settings[axis][setting] = value
+        return settings
+
+    def _on_reset_faults(self, request: Any, response: Any) -> Any:
+        amplifier.reset_faults(self._model_state, self._axes)
+        response.success = True
+        response.message = 'latched faults cleared; those whose cause persists come back at once'
+        return response
+
+    def _on_safe_torque_off(self, request: Any, response: Any) -> Any:
+        for axis in range(len(AXES)):
+            if self._axes >> axis & 1:
+                self._model_state['safe_torque_off'][0, axis] = request.data
+        response.success = True
+        response.message = 'gate drive ' + ('removed' if request.data else 'given back')
+        return response
+
+    def _warm_up(self) -> None:
+        """Compile before the first message, so that no peer waits for the compiler."""
+        state = amplifier.initial_state(self._model_parameters)
+        inputs = [
+            self.inboxes[topic].values.copy()
+            for topic in (CURRENT_COMMAND, PHASE_CURRENTS, ENCODERS_TOPIC)
+        ]
+        amplifier.step(state, self._model_parameters, self._axes, *inputs, self._voltage.copy())
+        amplifier.changed(state)
+        amplifier.report(
+            state,
+            self._model_parameters,
+            0,
+            self._accumulator,
+            self._setpoint,
+            self._limits,
+            self._faults,
+        )
+
+
+def _mask(names: Sequence[str]) -> int:
+    unknown = [name for name in names if name not in AXES]
+    if unknown or not names:
+        raise UserError(
+            f'copley: parameter axes is {list(names)}; give one or more of {", ".join(AXES)}'
+        )
+    return axes_mask(tuple(names))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node: `ros2 run waferbot_copley copley --ros-args --params-file FILE`."""
+    return run_node(CopleyNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'waferbot_lockstep'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={'': ['*.json', '*.yaml', '*.html']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='waferbot maintainers',
+    maintainer_email='maintainers@waferbot.invalid',
+    description='The contract between the nodes, in code: time, topics, wire format, order of messages, parameters.',
+    license='Apache-2.0',
+    entry_points={
+    },
+)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contract between the nodes, in code: time, topics, wire format, order of messages, parameters."""

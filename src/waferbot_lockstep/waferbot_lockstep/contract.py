@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The topics of the twin: who speaks, how often, for which axes.
+
+This is the table that a replacement for any node has to keep. Each message of the lock-step speaks
+for the places (axes, or encoders) whose bit is set in its `valid` mask; several publishers may share
+a topic, each with its own axes. The message files in `waferbot_msgs` give units and signs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from waferbot_lockstep.timing import Timing
+
+AXES = ('y_linear', 'x_rotate', 'y_rotate')
+"""The axes, in the order of every array with one place per axis."""
+
+ENCODERS = ('y_linear', 'x_rotate', 'y_rotate_load', 'y_rotate_motor')
+"""The encoders, in the order of `Encoders.counts`."""
+
+ALL_AXES = 0b111
+ALL_ENCODERS = 0b1111
+
+SLOW_DIVIDER = 180
+"""Ticks between two messages on the slow topics (100 Hz at 18 kHz)."""
+
+HISTORY_DEPTH = 64
+"""Depth of the reliable, volatile, keep-last history of the lock-step topics, in messages."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """
+    One topic of the contract.
+
+    `places` names what the bits of `valid` stand for, `width` is the number of values for each
+    place. `divider` is the name of the `Timing` field that gives the rate, or '' for every tick.
+    """
+
+    name: str
+    message: str
+    publisher: str
+    places: tuple[str, ...]
+    width: int
+    divider: str = ''
+
+    def ticks_between(self, timing: Timing) -> int:
+        """Return the number of ticks from one message to the next."""
+        return getattr(timing, self.divider) if self.divider else 1
+
+    @property
+    def type_name(self) -> str:
+        """Return the full ROS name of the message type."""
+        return f'waferbot_msgs/msg/{self.message}'
+
+    def names_of(self, mask: int) -> str:
+        """Return the places of a mask by name, for messages to the user."""
+        return ', '.join(name for place, name in enumerate(self.places) if mask >> place & 1)
+
+    @property
+    def all_places(self) -> int:
+        """Return the mask with every place set."""
+        return (1 << len(self.places)) - 1
+
+
+ENCODERS_TOPIC = Topic('encoders', 'Encoders', 'plant', ENCODERS, 1, 'encoder_divider')
+PHASE_CURRENTS = Topic('phase_currents', 'PhaseCurrents', 'plant', AXES, 2)
+CURRENT_COMMAND = Topic('current_command', 'CurrentCommand', 'pmac', AXES, 1, 'servo_divider')
+PHASE_VOLTAGES = Topic('phase_voltages', 'PhaseVoltages', 'copley', AXES, 3)
+
+LOCKSTEP_TOPICS = (ENCODERS_TOPIC, PHASE_CURRENTS, CURRENT_COMMAND, PHASE_VOLTAGES)
+"""The topics that somebody waits for."""
+
+SERVO_STATE = Topic('servo_state', 'ServoState', 'pmac', AXES, 5, 'servo_divider')
+AMPLIFIER_STATE = Topic('amplifier_state', 'AmplifierState', 'copley', AXES, 4)
+
+REPORT_TOPICS = (SERVO_STATE, AMPLIFIER_STATE)
+"""The topics that only tell what a controller did; `amplifier_state` is sent slowly and on change."""
+
+CONTRACT_TOPICS = LOCKSTEP_TOPICS + REPORT_TOPICS
+
+STOP_TOPIC = 'stop'
+"""Topic on which a node that leaves the lock-step says why (`waferbot_msgs/msg/Stop`)."""
+
+
+def axes_mask(names: list[str] | tuple[str, ...]) -> int:
+    """Return the mask of the named axes; raises `ValueError` for a name that is no axis."""
+    mask = 0
+    for name in names:
+        mask |= 1 << AXES.index(name)
+    return mask

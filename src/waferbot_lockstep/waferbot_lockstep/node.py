@@ -1,0 +1,472 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The part of a node that keeps the contract: topics, time, signs of life, the end.
+
+A node of the twin derives from `LockstepNode`, names what it needs and what it gives, and says what
+to do when an input has come. Everything else is here:
+
+- Messages are checked at the door (`waferbot_lockstep.inbox`).
+- A node that waits repeats its last messages ten times a second. Its peers ignore the repetition, but
+  know that it lives. So start order does not matter, a paused twin stays together, and silence means
+  that a peer is gone.
+- A node that finds an error publishes it once on `stop` and ends; the others end with that reason.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from types import FrameType
+from typing import Any
+
+import rclpy
+import waferbot_msgs.msg
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidParameterValueException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+
+from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
+from waferbot_lockstep.errors import LockstepError, UserError
+from waferbot_lockstep.inbox import Inbox, NewestInput
+from waferbot_lockstep.parameters import Parameter, Value, check_value
+from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.wire import WireFormat
+
+SIGN_OF_LIFE_PERIOD_S = 0.1
+DIAGNOSTICS_PERIOD_S = 1.0
+WAITING_NOTICE_PERIOD_S = 5.0
+INTERRUPTED = 'interrupted by the user'
+
+LOCKSTEP = 'lockstep'
+REALTIME = 'realtime'
+
+NODE_SETTINGS = (
+    Parameter('current_loop_hz', 18000, 'Hz', 1, 1_000_000, 'rate of the tick', True, True),
+    Parameter('encoder_divider', 2, 'ticks', 1, 1000, 'ticks between encoder messages', True, True),
+    Parameter('servo_divider', 8, 'ticks', 1, 1000, 'ticks between servo cycles', True, True),
+    Parameter(
+        'end_tick', 0, 'ticks', 0, 2**53, 'the node ends before this tick; 0: never', True, True
+    ),
+    Parameter(
+        'peer_timeout_s', 2.0, 's', 0.2, 3600.0, 'wall time of silence after which a peer is gone'
+    ),
+    Parameter(
+        'startup_timeout_s', 0.0, 's', 0.0, 3600.0, 'wall time to wait for peers; 0: for ever'
+    ),
+)
+
+
+def lockstep_qos(depth: int = HISTORY_DEPTH) -> QoSProfile:
+    """Return the quality of service of the contract's topics: reliable, volatile, keep last."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.VOLATILE,
+    )
+
+
+class LockstepNode(Node):
+    """
+    A node of the twin.
+
+    `needs` maps each topic that the node waits for to the mask of the places it needs; `gives` lists
+    the topics that it publishes. `outcome` is None while it runs, '' after an ordinary end, otherwise
+    the reason for which it stopped, as one line.
+    """
+
+    def __init__(
+        self, name: str, needs: Mapping[Topic, int], gives: Sequence[Topic], **node_options: Any
+    ) -> None:
+        """Declare the common parameters and open the topics; nothing is sent before `begin`."""
+        super().__init__(name, **node_options)
+        self.outcome: str | None = None
+        self._checks: dict[str, Parameter] = {}
+        self.add_on_set_parameters_callback(self._check_parameters)
+        settings = self.declare_settings('', NODE_SETTINGS)
+        self.timing = Timing(
+            int(settings['current_loop_hz']),
+            int(settings['encoder_divider']),
+            int(settings['servo_divider']),
+        )
+        self.end_tick = int(settings['end_tick'])
+        self.timekeeping = self.declare_choice(
+            'timekeeping', LOCKSTEP, (LOCKSTEP, REALTIME), 'who waits for whom'
+        )
+        self.inboxes: dict[Topic, Any] = {}
+        self._wire: dict[Topic, WireFormat] = {}
+        self._publishers_of: dict[Topic, Any] = {}
+        self._last_messages: dict[Any, bytes] = {}  # by publisher
+        for topic in gives:
+            message_type = getattr(waferbot_msgs.msg, topic.message)
+            self._wire[topic] = WireFormat(message_type)
+            self._publishers_of[topic] = self.create_publisher(
+                message_type, topic.name, lockstep_qos()
+            )
+        for topic, mask in needs.items():
+            self.need(topic, mask)
+        self._stop_publisher = self.create_publisher(
+            waferbot_msgs.msg.Stop, STOP_TOPIC, lockstep_qos(8)
+        )
+        self.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8))
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
+        self._begun_s = 0.0
+        self._noticed_s = 0.0
+        self._last_heard_s: dict[tuple[Topic, int], float] = {}
+        self._progress = 0
+        self._seen_progress = -1
+
+    # ---- what a node says of itself -------------------------------------------------------------
+
+    def on_input(self, topic: Topic) -> None:
+        """Act on new values in `self.inboxes[topic]`; every node says how."""
+        raise NotImplementedError
+
+    @property
+    def tick(self) -> int:
+        """The tick at which this node stands, for stamps and messages."""
+        raise NotImplementedError
+
+    def sleep_time_s(self) -> float | None:
+        """Return the wall time until `on_time` is due; None if this node never needs to be woken."""
+        return None
+
+    def on_time(self) -> None:
+        """Act on the passing of wall time (only nodes that keep real time)."""
+
+    # ---- life ------------------------------------------------------------------------------------
+
+    def begin(self) -> None:
+        """Start the signs of life; called once, after the node is complete."""
+        self._begun_s = self._noticed_s = time.monotonic()
+        wall = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(SIGN_OF_LIFE_PERIOD_S, self._on_sign_of_life, clock=wall)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._on_diagnostics, clock=wall)
+
+    def give(self, topic: Topic, tick: int, valid: int, values: Sequence[float]) -> None:
+        """Publish `values` of the places in `valid` as the message of `tick`."""
+        message = self._wire[topic].encode(tick, self.timing.stamp_ns(tick), valid, values)
+        self.publish(self._publishers_of[topic], message)
+
+    def publish(self, publisher: Any, message: bytes) -> None:
+        """Publish a message in CDR, and keep it for the signs of life."""
+        self._last_messages[publisher] = message
+        self._progress += 1
+        publisher.publish(message)
+
+    def finish(self) -> None:
+        """End ordinarily, once everything given has been received."""
+        if self.outcome is None:
+            self.outcome = ''
+            self._deliver()
+
+    def fail(self, reason: str) -> None:
+        """Stop for `reason` and let the other nodes know it."""
+        if self.outcome is not None:
+            return
+        self.outcome = reason
+        self.get_logger().error(reason)
+        stop = waferbot_msgs.msg.Stop(
+            tick=max(self.tick, 0), node=self.get_fully_qualified_name(), reason=reason
+        )
+        stamp_ns = self.timing.stamp_ns(max(self.tick, 0))
+        stop.header.stamp.sec, stop.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._stop_publisher.publish(stop)
+        self._stop_publisher.wait_for_all_acked(_seconds(0.5))
+
+    def interrupt(self) -> None:
+        """Stop because the user said so."""
+        if self.outcome is None:
+            self.fail(INTERRUPTED)
+            self.outcome = ''
+
+    def _deliver(self) -> None:
+        for publisher in self._last_messages:
+            publisher.wait_for_all_acked(_seconds(2.0))
+
+    def need(self, topic: Topic, mask: int) -> None:
+        """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
+        message_type = getattr(waferbot_msgs.msg, topic.message)
+        decode = WireFormat(message_type).decode
+        input_type = Inbox if self.timekeeping == LOCKSTEP else NewestInput
+        inbox = self.inboxes[topic] = input_type(topic, self.timing, mask)
+
+        def on_message(data: bytes) -> None:
+            if self.outcome is not None:
+                return
+            try:
+                if inbox.push(*decode(data)):
+                    self.on_input(topic)
+            except UserError as error:
+                self.fail(str(error))
+
+        self.create_subscription(message_type, topic.name, on_message, lockstep_qos(), raw=True)
+
+    def _on_stop(self, stop: Any) -> None:
+        if self.outcome is not None or stop.node == self.get_fully_qualified_name():
+            return
+        if stop.reason == INTERRUPTED:
+            self.outcome = ''
+            self.get_logger().info(f'{stop.node} was {INTERRUPTED} at tick {stop.tick}')
+        else:
+            self.outcome = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'
+            self.get_logger().error(self.outcome)
+
+    def _on_sign_of_life(self) -> None:
+        if self.outcome is not None:
+            return
+        if self._progress == self._seen_progress:
+            for publisher, message in self._last_messages.items():
+                publisher.publish(message)
+        self._seen_progress = self._progress
+        self._watch_peers(time.monotonic())
+
+    def _watch_peers(self, now_s: float) -> None:
+        for topic, inbox in self.inboxes.items():
+            heard, inbox.heard = inbox.heard, 0
+            for place in range(len(topic.places)):
+                if not inbox.needed >> place & 1:
+                    continue
+                key = (topic, place)
+                if heard >> place & 1:
+                    self._last_heard_s[key] = now_s
+                elif key in self._last_heard_s:
+                    self._check_silence(inbox, place, now_s - self._last_heard_s[key])
+                else:
+                    self._check_startup(inbox, now_s)
+                if self.outcome is not None:
+                    return
+
+    def _check_silence(self, inbox: Any, place: int, silence_s: float) -> None:
+        timeout_s = self.get_parameter('peer_timeout_s').value
+        if silence_s <= timeout_s:
+            return
+        topic = inbox.topic
+        due = inbox.due if isinstance(inbox, Inbox) else inbox.newest_tick + inbox.spacing
+        self.fail(
+            f'{topic.publisher} is gone: topic {topic.name} ({topic.places[place]}) is silent for '
+            f'{silence_s:.1f} s, tick {due} never came; look at the end of the log of '
+            f'{topic.publisher}'
+        )
+
+    def _check_startup(self, inbox: Any, now_s: float) -> None:
+        waited_s = now_s - self._begun_s
+        timeout_s = self.get_parameter('startup_timeout_s').value
+        what = f'{inbox.topic.publisher} ({inbox.topic.name}: {inbox.missing})'
+        if timeout_s and waited_s > timeout_s:
+            self.fail(
+                f'{what} did not appear within {timeout_s:g} s, tick {max(self.tick, 0)} cannot '
+                'begin; is it started, with the same domain, namespace and axes?'
+            )
+        elif now_s - self._noticed_s > WAITING_NOTICE_PERIOD_S:
+            self._noticed_s = now_s
+            self.get_logger().info(f'waiting for {what}')
+
+    def _on_diagnostics(self) -> None:
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.OK,
+            name=f'{self.get_fully_qualified_name()}: timekeeping',
+            message=self.timekeeping,
+            hardware_id='waferbot',
+            values=[KeyValue(key='tick', value=str(self.tick))],
+        )
+        for topic, inbox in self.inboxes.items():
+            if not isinstance(inbox, NewestInput):
+                continue
+            for key in ('received', 'late', 'missed'):
+                value = str(getattr(inbox, key))
+                status.values.append(KeyValue(key=f'{topic.name} {key}', value=value))
+            if inbox.late or inbox.missed:
+                status.level = DiagnosticStatus.WARN
+                status.message = 'messages came late or not at all'
+        status.values.extend(self.diagnostic_values())
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def diagnostic_values(self) -> list[KeyValue]:
+        """Return what a node adds to its diagnostics."""
+        return []
+
+    # ---- parameters ------------------------------------------------------------------------------
+
+    def declare_settings(
+        self, prefix: str, parameters: Iterable[Parameter], defaults: Mapping[str, Value] | None = None
+    ) -> dict[str, Value]:
+        """
+        Declare each `Parameter` as the ROS parameter `<prefix>.<name>` and return the values.
+
+        Description, unit and range go into the descriptor; a whole number given for a real one is
+        accepted. Raises `UserError` for a value of the wrong type or out of range.
+        """
+        values: dict[str, Value] = {}
+        for parameter in parameters:
+            name = f'{prefix}.{parameter.name}' if prefix else parameter.name
+            default = (defaults or {}).get(parameter.name, parameter.default)
+            self._checks[name] = parameter
+            value = self._declare(name, default, _descriptor(parameter))
+            values[parameter.name] = check_value(parameter, value, prefix)
+        return values
+
+    def declare_choice(
+        self, name: str, default: str, choices: Sequence[str], description: str
+    ) -> str:
+        """Declare a read-only text parameter that must be one of `choices`; return its value."""
+        descriptor = ParameterDescriptor(
+            description=description,
+            additional_constraints='one of: ' + ', '.join(choices),
+            read_only=True,
+        )
+        value = self._declare(name, default, descriptor)
+        if value not in choices:
+            raise UserError(f'{name} is {value!r}; it must be one of {", ".join(choices)}')
+        return value
+
+    def _declare(self, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
+        try:
+            return self.declare_parameter(name, default, descriptor).value
+        except InvalidParameterValueException as error:
+            raise UserError(f'parameter {name}: {error}') from error
+
+    def _check_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
+        for parameter in parameters:
+            declared = self._checks.get(parameter.name)
+            if declared is None:
+                continue
+            try:
+                check_value(declared, parameter.value, '')
+            except UserError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        try:
+            self.check_change({parameter.name: parameter.value for parameter in parameters})
+        except UserError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def check_change(self, changes: Mapping[str, Any]) -> None:
+        """Raise `UserError` if values that are each in range contradict one another."""
+
+
+def _descriptor(parameter: Parameter) -> ParameterDescriptor:
+    unit = f' [{parameter.unit}]' if parameter.unit else ''
+    descriptor = ParameterDescriptor(
+        description=f'{parameter.description}{unit}',
+        read_only=parameter.fixed,
+        additional_constraints=f'{parameter.range_text()}',
+    )
+    if parameter.integer:
+        descriptor.type = ParameterType.PARAMETER_INTEGER
+        descriptor.integer_range = [
+            IntegerRange(from_value=int(parameter.low), to_value=int(parameter.high), step=1)
+        ]
+    else:
+        descriptor.type = ParameterType.PARAMETER_DOUBLE
+        descriptor.dynamic_typing = True  # a YAML file may say 40 where 40.0 is meant
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(parameter.low), to_value=float(parameter.high))
+        ]
+    return descriptor
+
+
+def _seconds(seconds: float) -> Any:
+    from rclpy.duration import Duration
+
+    return Duration(nanoseconds=int(seconds * 1e9))
+
+
+def make_executor() -> Any:
+    """Return the events executor where rclpy has it (Jazzy), else the single-threaded one."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+class Interrupt:
+    """SIGINT and SIGTERM as a flag, so that a node always ends between two messages."""
+
+    def __init__(self) -> None:
+        """Catch the signals from now on."""
+        self.raised = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.raised = True
+
+
+def spin_until_done(
+    nodes: Sequence[LockstepNode], interrupt: Interrupt, executor: Any | None = None
+) -> None:
+    """
+    Serve the nodes until each has an outcome.
+
+    One node stopping with an error ends all of them; an interrupt ends all of them ordinarily.
+    """
+    executor = executor or make_executor()
+    for node in nodes:
+        executor.add_node(node)
+    timed = [node for node in nodes if node.timekeeping == REALTIME]
+    for node in nodes:
+        node.begin()
+    try:
+        while any(node.outcome is None for node in nodes):
+            timeout_s = SIGN_OF_LIFE_PERIOD_S
+            for node in timed:
+                due_s = node.sleep_time_s()
+                if due_s is not None:
+                    timeout_s = min(timeout_s, due_s)
+            executor.spin_once(timeout_sec=max(timeout_s, 0.0))
+            for node in timed:
+                if node.outcome is None:
+                    node.on_time()
+            if interrupt.raised:
+                for node in nodes:
+                    node.interrupt()
+    except ExternalShutdownException:
+        pass
+    finally:
+        for node in nodes:
+            executor.remove_node(node)
+        executor.shutdown(0.0)
+
+
+def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
+    """
+    Run one node as a process; return its exit code (0: ended as meant, 1: an error, told on stderr).
+
+    `make_node` is called without arguments once rclpy is up.
+    """
+    # Discovery stays on this machine unless the user asks for more.
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    interrupt = Interrupt()
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = make_node()
+        spin_until_done([node], interrupt)
+        return 1 if node.outcome else 0
+    except (UserError, LockstepError) as error:
+        rclpy.logging.get_logger('waferbot').error(str(error))
+        return 1
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()

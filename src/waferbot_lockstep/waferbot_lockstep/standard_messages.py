@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The standard messages of the twin as bytes: `sensor_msgs/JointState` and `rosgraph_msgs/Clock`.
+
+The plant node publishes these bytes and the in-process runner records the same, so that both give
+the same file. CDR as in `waferbot_lockstep.wire`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
+from waferbot_lockstep.wire import LITTLE_ENDIAN
+
+CLOCK = ('/clock', 'rosgraph_msgs/msg/Clock')
+JOINT_STATES = ('joint_states', 'sensor_msgs/msg/JointState')
+
+
+def clock_message(stamp_ns: int) -> bytes:
+    """Return a `Clock` message."""
+    return LITTLE_ENDIAN + struct.pack('<iI', *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
+
+
+def joint_state_message(
+    stamp_ns: int,
+    names: Sequence[str],
+    position: Sequence[float],
+    velocity: Sequence[float],
+) -> bytes:
+    """Return a `JointState` message without effort; m or rad, and their rates, as in REP 103."""
+    body = bytearray(struct.pack('<iI', *divmod(stamp_ns, NANOSECONDS_PER_SECOND)))
+    _append_string(body, '')
+    _align(body, 4)
+    body += struct.pack('<I', len(names))
+    for name in names:
+        _append_string(body, name)
+    for values in (position, velocity):
+        _align(body, 4)
+        body += struct.pack('<I', len(values))
+        _align(body, 8)
+        body += struct.pack(f'<{len(values)}d', *values)
+    body += struct.pack('<I', 0)
+    return LITTLE_ENDIAN + bytes(body)
+
+
+def stamp_of(message: bytes) -> int:
+    """Return the stamp, in nanoseconds, of a message that begins with one (both of the above do)."""
+    sec, nanosec = struct.unpack_from('<iI', message, len(LITTLE_ENDIAN))
+    return sec * NANOSECONDS_PER_SECOND + nanosec
+
+
+def _align(body: bytearray, size: int) -> None:
+    body += bytes(-len(body) % size)
+
+
+def _append_string(body: bytearray, text: str) -> None:
+    _align(body, 4)
+    data = text.encode() + b'\0'
+    body += struct.pack('<I', len(data)) + data

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'waferbot_plant'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={'': ['*.json', '*.yaml', '*.html']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config', glob('config/*.*')),
+        ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
+        ('share/' + package_name + '/urdf', glob('urdf/*.*')),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='waferbot maintainers',
+    maintainer_email='maintainers@waferbot.invalid',
+    description='The mechanism with its motors, drives and encoders, and the plant node.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'plant = waferbot_plant.node:main',
+        ],
+    },
+)

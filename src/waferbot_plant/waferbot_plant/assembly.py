@@ -1,0 +1,381 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From a description to arrays: links, minimal coordinates, elements.
+
+What is rigid goes away here, once, when a description is loaded: bodies that cannot move against each
+other are merged, a rigid transmission makes two coordinates one, and what is left is a tree of links
+with one freedom each over the minimal coordinates z.
+
+Deflections of connections are counted from the static equilibrium at the home pose: a machine is
+aligned under its own weight, and a secant stiffness means nothing far from the load that it was taken
+at. Every spring therefore carries, undeflected, the weight that hangs on it at home (with the axes held
+by their motors), and a cable is stretched by it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.errors import UserError
+
+from waferbot_plant.description import BASE, Connection, Description, Freedom, Transmission
+
+Vector = NDArray[np.float64]
+
+
+@dataclass
+class Link:
+    """
+    A moving part with one freedom; `parent` is a place in the list of links, -1 for the base.
+
+    `point` is where the freedom acts (home pose, base frame), `mass`, `first_moment` and `inertia`
+    (both about that point) are those of everything fixed to the link.
+    """
+
+    freedom: Freedom
+    parent: int
+    point: Vector
+    mass: float
+    first_moment: Vector
+    inertia: Vector
+
+
+@dataclass(frozen=True)
+class Element:
+    """A spring between minimal coordinates: deflection = sum of ratio * z over `terms`."""
+
+    name: str
+    connections: tuple[str, ...]
+    terms: tuple[tuple[int, float], ...]
+    stiffness: float
+    damping: float
+    rest: float
+    pulls_only: bool
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """
+    A machine in minimal coordinates.
+
+    `coordinates` names z in order; `placing` gives for every coordinate of the description that can
+    move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no stiffness.
+    """
+
+    description: Description
+    links: tuple[Link, ...]
+    coordinates: tuple[str, ...]
+    placing: dict[str, tuple[int, float]]
+    rotor_inertia: Vector
+    springs: tuple[Element, ...]
+    cables: tuple[Element, ...]
+
+
+def assemble(description: Description) -> Assembly:
+    """Build the arrays of a description with its connections switched as they are."""
+    flexible = {name for name, part in description.connections.items() if part.flexible}
+    links, placing, coordinates = _reduce(description, flexible)
+    rotor_inertia = _rotor_inertia(description, placing, len(coordinates))
+    behaviour = _Behaviour(description)
+    elements = [
+        *_held_freedoms(description, flexible, placing, behaviour),
+        *_soft_transmissions(description, flexible, placing, behaviour),
+        *_dampers(description, placing),
+    ]
+    for cable in (element for element in elements if element.pulls_only):
+        if cable.rest >= 0.0:
+            raise UserError(
+                f'{description.name}: cable {cable.name} is slack at the home pose; '
+                'nothing hangs on the coordinate that it drives'
+            )
+    return Assembly(
+        description=description,
+        links=tuple(links),
+        coordinates=tuple(coordinates),
+        placing=placing,
+        rotor_inertia=rotor_inertia,
+        springs=tuple(element for element in elements if not element.pulls_only),
+        cables=tuple(element for element in elements if element.pulls_only),
+    )
+
+
+def build_links(description: Description, flexible: set[str]) -> list[Link]:
+    """Return the links of the tree, parents first, with the freedoms that `flexible` leaves."""
+    links: list[Link] = []
+    link_of = {BASE: -1}
+    waiting = list(description.joints.values())
+    while waiting:
+        joint = next(joint for joint in waiting if joint.parent in link_of)
+        waiting.remove(joint)
+        link = link_of[joint.parent]
+        for freedom in joint.freedoms:
+            if not freedom.connections or flexible.intersection(freedom.connections):
+                nothing = np.zeros(3), np.zeros((3, 3))
+                links.append(Link(freedom, link, joint.at, 0.0, *nothing))
+                link = len(links) - 1
+        link_of[joint.child] = link
+    for body in description.bodies.values():
+        if link_of[body.name] >= 0:
+            link = links[link_of[body.name]]
+            arm = body.centre_of_gravity - link.point
+            link.mass += body.mass
+            link.first_moment = link.first_moment + body.mass * arm
+            link.inertia = (
+                link.inertia
+                + body.inertia
+                + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+            )
+    return links
+
+
+def _reduce(
+    description: Description, flexible: set[str]
+) -> tuple[list[Link], dict[str, tuple[int, float]], list[str]]:
+    """Return links, placing of every coordinate in z, and the names of z."""
+    links = build_links(description, flexible)
+    names = [link.freedom.name for link in links] + [
+        rotor.name for rotor in description.rotors.values() if rotor.coordinate == rotor.name
+    ]
+    rigid = [
+        transmission
+        for transmission in description.transmissions.values()
+        if not any(stage.connection in flexible for stage in transmission.stages)
+    ]
+    # a group of coordinates tied rigidly, each with its ratio to the group's first
+    groups = {name: {name: 1.0} for name in names}
+    for transmission in rigid:
+        first, second = groups[transmission.driving], groups[transmission.driven]
+        scale = first[transmission.driving] * transmission.ratio / second[transmission.driven]
+        first.update({name: ratio * scale for name, ratio in second.items()})
+        for name in second:
+            groups[name] = first
+    # a group goes by the name of an axis if it has one, then of a joint, then of a rotor
+    rank = {name: place for place, name in enumerate([*description.axes.values(), *names])}
+    coordinates: list[str] = []
+    placing: dict[str, tuple[int, float]] = {}
+    for name in names:
+        group = groups[name]
+        leader = min(group, key=lambda member: (member not in description.axes.values(), rank[member]))
+        if leader not in coordinates:
+            coordinates.append(leader)
+        placing[name] = coordinates.index(leader), group[name] / group[leader]
+    return links, placing, coordinates
+
+
+def _rotor_inertia(
+    description: Description, placing: dict[str, tuple[int, float]], size: int
+) -> Vector:
+    """Return the rotors' inertia on each minimal coordinate, sum of J ratio^2 (2.21)."""
+    inertia = np.zeros(size)
+    for rotor in description.rotors.values():
+        place, ratio = placing[rotor.coordinate]
+        inertia[place] += rotor.inertia * ratio**2
+    return inertia
+
+
+class _Behaviour:
+    """
+    How the elastic parts of a machine behave by themselves, whatever else is switched rigid.
+
+    Taken from the machine at home with every connection flexible: the mass matrix, the weight on each
+    coordinate, and from them each connection's stiffness, damping and first frequency.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self.description = description
+        everything = set(description.connections)
+        self.links, self.placing, self.coordinates = _reduce(description, everything)
+        self.mass_matrix, self.weight = home_mass_matrix_and_weight(
+            self.links, self.placing, len(self.coordinates), description.gravity
+        )
+        rotors = _rotor_inertia(description, self.placing, len(self.coordinates))
+        self.mass_matrix[np.diag_indices_from(self.mass_matrix)] += rotors
+        self.freedom_of = {
+            connection: freedom.name
+            for joint in description.joints.values()
+            for freedom in joint.freedoms
+            for connection in freedom.connections
+        }
+
+    def weight_on(self, coordinate: str) -> float:
+        """Return the generalised force of gravity on a coordinate at home, N or Nm."""
+        place, ratio = self.placing[coordinate]
+        return float(self.weight[place] / ratio)
+
+    def freedom_frequency(self, connection: Connection) -> float:
+        """
+        Return the first frequency of a connection in a joint, rad/s, (5.26), (5.29), (5.31).
+
+        One mass on one spring: everything that the freedom carries, with everything else held, but
+        for the coordinates that the connection says are free to follow.
+        """
+        place, _ = self.placing[self.freedom_of[connection.name]]
+        free = [self.placing[name][0] for name in connection.free]
+        inertia = self.mass_matrix[place, place]
+        if free:
+            coupling = self.mass_matrix[place, free]
+            inertia -= coupling @ np.linalg.solve(self.mass_matrix[np.ix_(free, free)], coupling)
+        return math.sqrt(connection.stiffness / inertia)
+
+    def transmission_frequency(self, transmission: Transmission, stiffness: float) -> float:
+        """
+        Return the first frequency of a soft transmission, rad/s, (5.18), (5.36).
+
+        Two masses on one spring: both ends free, everything else held. `stiffness` is that seen at
+        the driven end.
+        """
+        ends = [self.placing[transmission.driving], self.placing[transmission.driven]]
+        places = [place for place, _ in ends]
+        arms = np.array([transmission.ratio * ends[0][1], -ends[1][1]])
+        inertia = self.mass_matrix[np.ix_(places, places)]
+        return math.sqrt(stiffness * float(arms @ np.linalg.solve(inertia, arms)))
+
+    def damping(self, connection: Connection, stiffness: float, frequency: float) -> float:
+        """Return the viscous damping of a part, structural damping by b = eta k / omega (5.5)."""
+        if connection.loss_factor is None:
+            return (connection.damping or 0.0) * stiffness / connection.stiffness
+        return connection.loss_factor * stiffness / frequency
+
+
+def home_mass_matrix_and_weight(
+    links: list[Link], placing: dict[str, tuple[int, float]], size: int, gravity: Vector
+) -> tuple[Vector, Vector]:
+    """
+    Return M (size, size) and the generalised force of gravity (size,) at the home pose.
+
+    From the Jacobians of every body: M = sum of m J_v' J_v + J_w' I J_w, weight = sum of m J_v' g.
+    Written for clearness; the compiled `multibody` is checked against it.
+    """
+    mass_matrix = np.zeros((size, size))
+    weight = np.zeros(size)
+    for link in links:
+        if link.mass == 0.0:
+            continue
+        centre = link.point + link.first_moment / link.mass
+        arm = centre - link.point
+        inertia = link.inertia - link.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        linear = np.zeros((3, size))
+        angular = np.zeros((3, size))
+        above: int | None = links.index(link)
+        while above is not None and above >= 0:
+            mover = links[above]
+            place, ratio = placing[mover.freedom.name]
+            if mover.freedom.revolute:
+                angular[:, place] += ratio * mover.freedom.axis
+                linear[:, place] += ratio * np.cross(mover.freedom.axis, centre - mover.point)
+            else:
+                linear[:, place] += ratio * mover.freedom.axis
+            above = mover.parent
+        mass_matrix += link.mass * linear.T @ linear + angular.T @ inertia @ angular
+        weight += link.mass * linear.T @ gravity
+    return mass_matrix, weight
+
+
+def in_series(parts: list[tuple[float, float]]) -> tuple[float, float]:
+    """
+    Return stiffness and damping of spring-dampers in series, from (stiffness, damping) of each.
+
+    1/k = sum of 1/k_j. The damping is that which loses the same energy when the parts share the
+    deflection as their springs do, d = k^2 sum of d_j / k_j^2; good while omega d is small against k.
+    """
+    stiffness = 1.0 / sum(1.0 / part_stiffness for part_stiffness, _ in parts)
+    damping = sum(
+        part_damping / part_stiffness**2 for part_stiffness, part_damping in parts
+    )
+    return stiffness, stiffness**2 * damping
+
+
+def _held_freedoms(
+    description: Description,
+    flexible: set[str],
+    placing: dict[str, tuple[int, float]],
+    behaviour: _Behaviour,
+) -> list[Element]:
+    """Return the springs of the freedoms that are held by flexible connections."""
+    elements = []
+    for joint in description.joints.values():
+        for freedom in joint.freedoms:
+            soft = [
+                description.connections[name] for name in freedom.connections if name in flexible
+            ]
+            if soft:
+                stiffness, damping = in_series([
+                    (
+                        part.stiffness,
+                        behaviour.damping(part, part.stiffness, behaviour.freedom_frequency(part)),
+                    )
+                    for part in soft
+                ])
+                names = tuple(part.name for part in soft)
+                rest = -behaviour.weight_on(freedom.name) / stiffness
+                term = placing[freedom.name]
+                elements.append(
+                    Element(freedom.name, names, (term,), stiffness, damping, rest, False)
+                )
+    return elements
+
+
+def stages_seen_at_output(
+    transmission: Transmission, connections: dict[str, Connection], flexible: set[str]
+) -> list[tuple[Connection, float]]:
+    """
+    Return the flexible connections of a transmission with their stiffness seen at its driven end.
+
+    A stage deflects by `lever` times its motion out, so that it has the stiffness k lever^2 there; a
+    following stage of ratio r makes it k lever^2 / r^2.
+    """
+    seen = []
+    following = 1.0
+    for stage in reversed(transmission.stages):
+        if stage.connection in flexible:
+            part = connections[stage.connection]
+            seen.append((part, part.stiffness * stage.lever**2 / following**2))
+        following *= stage.ratio
+    return seen[::-1]
+
+
+def _soft_transmissions(
+    description: Description,
+    flexible: set[str],
+    placing: dict[str, tuple[int, float]],
+    behaviour: _Behaviour,
+) -> list[Element]:
+    """Return the springs of the transmissions that give: deflection = ratio * driving - driven."""
+    elements = []
+    for transmission in description.transmissions.values():
+        seen = stages_seen_at_output(transmission, dict(description.connections), flexible)
+        if not seen:
+            continue
+        total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]
+        frequency = behaviour.transmission_frequency(transmission, total)
+        stiffness, damping = in_series([
+            (stiffness, behaviour.damping(part, stiffness, frequency)) for part, stiffness in seen
+        ])
+        driving, driving_ratio = placing[transmission.driving]
+        driven, driven_ratio = placing[transmission.driven]
+        elements.append(
+            Element(
+                transmission.name,
+                tuple(part.name for part, _ in seen),
+                ((driving, transmission.ratio * driving_ratio), (driven, -driven_ratio)),
+                stiffness,
+                damping,
+                behaviour.weight_on(transmission.driven) / stiffness,
+                transmission.pulls_only,
+            )
+        )
+    return elements
+
+
+def _dampers(
+    description: Description, placing: dict[str, tuple[int, float]]
+) -> list[Element]:
+    """Return the viscous dampers, as springs without stiffness."""
+    return [
+        Element(damper.name, (), (placing[damper.coordinate],), 0.0, damper.damping, 0.0, False)
+        for damper in description.dampers.values()
+    ]

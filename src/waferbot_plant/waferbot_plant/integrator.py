@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+One step of the whole plant: mechanism, elements and windings together.
+
+The implicit midpoint rule, linear in what is stiff. With z the coordinates, h the step and
+dz' = z'(h) - z'(0) the unknown,
+
+    M (dz'/h) + bias = forces of springs, cables, friction and motors, all at the middle of the step,
+
+where spring deflections, damper speeds and winding currents at the middle contain dz' itself. They are
+linear in it, so it is one set of linear equations A dz' = r and no iteration. M, bias and the electrical
+angles are taken at z + h/2 z' and the speed expected from the last step.
+
+- Second order. One evaluation of the mechanism and one factorisation per step.
+- No stiffness makes it unstable, and it adds no damping of its own: energy supplied equals energy stored
+  plus energy lost to rounding for the linear part (springs, windings, force times speed of the motors),
+  and to second order in h for the rest. An oscillation of frequency f comes out low by
+  (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
+- Dry friction is found with dz', not before it: a coordinate is stuck if some force within its limits
+  holds it, and then its speed is zero exactly; otherwise friction acts with full strength against the
+  speed. So a coordinate comes to rest within the step and there is no creep and no chatter.
+
+Source: the implicit midpoint rule, E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration,
+Springer 2006; friction as a set-valued force, J. J. Moreau, in Nonsmooth Mechanics and Applications,
+Springer 1988.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from waferbot_plant.elements import (
+    add_cables,
+    add_springs,
+    book_cables,
+    book_frictions,
+    book_springs,
+    cable_elongation,
+    judge_cables,
+    limit_friction,
+    tension_in_crossing,
+)
+from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
+from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
+
+
+def state_fields(coordinates: int) -> list[tuple]:
+    """
+    Return the dtype fields of the mechanism's state and of the step's workings.
+
+    `position`, `velocity` (n,) in m, rad, m/s, rad/s; `velocity_change` that of the last step;
+    `external_force` (n,) an outside force on each coordinate, N or Nm, held until changed, whose work
+    is booked in `external_work`, J.
+    """
+    return [
+        ('position', 'f8', (coordinates,)),
+        ('velocity', 'f8', (coordinates,)),
+        ('velocity_change', 'f8', (coordinates,)),
+        ('external_force', 'f8', (coordinates,)),
+        ('external_work', 'f8'),
+        ('middle_position', 'f8', (coordinates,)),
+        ('middle_velocity', 'f8', (coordinates,)),
+        ('right', 'f8', (coordinates,)),
+        ('factors', 'f8', (coordinates, coordinates)),
+        ('response', 'f8', (coordinates,)),
+    ]
+
+
+@njit(cache=True, error_model='numpy')
+def advance_step(s, p, voltage, step):
+    """Advance state `s` by `step` seconds with the terminal voltages (9,) held."""
+    position = s['position']
+    velocity = s['velocity']
+    change = s['velocity_change']
+    middle = s['middle_position']
+    mean = s['middle_velocity']
+    size = len(position)
+    for row in range(size):
+        middle[row] = position[row] + 0.5 * step * velocity[row]
+        mean[row] = velocity[row] + 0.5 * change[row]
+
+    mass_matrix_and_bias(s, p, middle, mean)
+    matrix = s['mass_matrix']
+    right = s['right']
+    for row in range(size):
+        right[row] = step * (s['external_force'][row] - s['bias'][row])
+    begin_step(s, p, middle, voltage, step)
+    for motor in range(MOTORS):
+        if p['winding'][motor] != NONE:
+            row = p['motor_coordinate'][motor]
+            ratio = p['motor_ratio'][motor]
+            force, damping = force_and_damping(s, p, motor)
+            right[row] += step * ratio * (force - damping * ratio * velocity[row])
+            matrix[row, row] += 0.5 * step * damping * ratio * ratio
+    add_springs(s, p, matrix, right, position, velocity, step)
+    judge_cables(s, p, middle, mean)
+    limit_friction(s, p, mean)
+
+    _find_velocity_change(s, p, step)
+    if len(p['cable_first']) > 0:
+        _let_cables_change(s, p, step)
+
+    for row in range(size):
+        mean[row] = velocity[row] + 0.5 * change[row]
+        middle[row] = position[row] + step * mean[row]
+        velocity[row] += change[row]
+        s['external_work'] += s['external_force'][row] * mean[row] * step
+    book_springs(s, p, mean, step)
+    book_cables(s, p, position, middle, mean, step)
+    book_frictions(s, p, mean, step)
+    finish_step(s, p, mean, voltage, step)
+    for row in range(size):
+        position[row] = middle[row]
+
+
+@njit(cache=True, error_model='numpy')
+def _find_velocity_change(s, p, step):
+    """
+    Solve A dz' = r + h friction for dz' and the friction, each within its limits.
+
+    Starts from the directions of sliding of the last step and turns over those that do not fit: a
+    stuck coordinate whose holding force exceeds its limit slides, a sliding one whose speed changes sign
+    sticks. Once let go, a coordinate is held by sliding friction only, in this step. After a few
+    rounds only the first misfit is turned over, which is sure to end (Murty's rule: A is positive
+    definite).
+    """
+    size = len(s['position'])
+    for row in range(size):
+        s['friction_force'][row] = 0.0
+    rounds = 0
+    while True:
+        _solve_with_friction(s, p, step)
+        misfits = 0
+        for row in range(size):
+            if s['holding_friction'][row] == 0.0:
+                continue
+            if s['sliding'][row] == 0:
+                if abs(s['friction_force'][row]) > s['holding_friction'][row]:
+                    s['sliding'][row] = -1 if s['friction_force'][row] > 0.0 else 1
+                    s['holding_friction'][row] = s['sliding_friction'][row]
+                    misfits += 1
+            elif (s['velocity'][row] + s['velocity_change'][row]) * s['sliding'][row] < 0.0:
+                s['sliding'][row] = 0
+                s['holding_friction'][row] = s['sliding_friction'][row]
+                misfits += 1
+            if misfits > 0 and rounds > 4:
+                break
+        rounds += 1
+        if misfits == 0 or rounds > 4 * size + 8:
+            return
+
+
+@njit(cache=True, error_model='numpy')
+def _solve_with_friction(s, p, step):
+    """Solve A dz' = r + h friction with the directions of sliding as they stand."""
+    matrix = s['mass_matrix']
+    factors = s['factors']
+    right = s['right']
+    change = s['velocity_change']
+    velocity = s['velocity']
+    size = len(velocity)
+    for row in range(size):
+        change[row] = right[row]
+        for column in range(row + 1):
+            factors[row, column] = matrix[row, column]
+    add_cables(s, p, factors, change, s['position'], velocity, step)
+    for row in range(size):
+        if s['holding_friction'][row] > 0.0:
+            if s['sliding'][row] != 0:
+                s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
+                change[row] += step * s['friction_force'][row]
+    for row in range(size):
+        if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+            _lock(factors, change, row, -velocity[row])
+    factorise(factors)
+    solve(factors, change)
+    for row in range(size):
+        if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+            s['friction_force'][row] = _holding_force(s, p, row, step)
+
+
+@njit(cache=True, error_model='numpy')
+def _lock(matrix, right, locked, value):
+    """Make `value` the solution's entry `locked`, exactly, and leave the equations symmetric."""
+    for column in range(locked):
+        right[column] -= matrix[locked, column] * value
+        matrix[locked, column] = 0.0
+    for row in range(locked + 1, len(right)):
+        right[row] -= matrix[row, locked] * value
+        matrix[row, locked] = 0.0
+    matrix[locked, locked] = 1.0
+    right[locked] = value
+
+
+@njit(cache=True, error_model='numpy')
+def _holding_force(s, p, row, step):
+    """Return the friction that keeps a coordinate at rest, (A dz' - r) / h in its row, N or Nm."""
+    matrix = s['mass_matrix']
+    change = s['velocity_change']
+    residual = -s['right'][row]
+    for column in range(row):
+        residual += matrix[row, column] * change[column]
+    for column in range(row, len(change)):
+        residual += matrix[column, row] * change[column]
+    force = residual / step
+    for cable in range(len(p['cable_first'])):
+        arm = 0.0
+        if p['cable_first'][cable] == row:
+            arm += p['cable_first_ratio'][cable]
+        if p['cable_second'][cable] == row:
+            arm += p['cable_second_ratio'][cable]
+        if arm != 0.0:
+            force += arm * _cable_tension(s, p, cable, step)
+    return force
+
+
+@njit(cache=True, error_model='numpy')
+def _cable_tension(s, p, cable, step):
+    """Return the mean tension of a cable over the step, as judged, with the present dz', N."""
+    if s['cable_stiffness'][cable] == 0.0:
+        return s['cable_force'][cable]
+    start = cable_elongation(p, cable, s['position'])
+    rate = _mean_rate(s, p, cable)
+    return (
+        s['cable_stiffness'][cable] * (start + 0.5 * step * rate)
+        + s['cable_damping'][cable] * rate
+    )
+
+
+@njit(cache=True, error_model='numpy')
+def _mean_rate(s, p, cable):
+    """Return the mean rate of elongation of a cable over the step, m/s."""
+    first = p['cable_first'][cable]
+    second = p['cable_second'][cable]
+    return p['cable_first_ratio'][cable] * (
+        s['velocity'][first] + 0.5 * s['velocity_change'][first]
+    ) + p['cable_second_ratio'][cable] * (
+        s['velocity'][second] + 0.5 * s['velocity_change'][second]
+    )
+
+
+@njit(cache=True, error_model='numpy')
+def _let_cables_change(s, p, step):
+    """
+    Solve the step again for a cable that goes slack or becomes taut within it.
+
+    The step without the cable gives the elongation at its end, free of tension; the mean tension that
+    conserves the cable's energy follows in closed form. One cable after another; two that change in
+    the same step see each other's change only as judged.
+    """
+    response = s['response']
+    for cable in range(len(p['cable_first'])):
+        start = cable_elongation(p, cable, s['position'])
+        end = start + step * _mean_rate(s, p, cable)
+        if (start > 0.0) == (end > 0.0):
+            continue
+        stiffness = s['cable_stiffness'][cable]
+        damping = s['cable_damping'][cable]
+        s['cable_stiffness'][cable] = 0.0
+        s['cable_damping'][cable] = 0.0
+        s['cable_force'][cable] = 0.0
+        _solve_with_friction(s, p, step)
+        free_end = start + step * _mean_rate(s, p, cable)
+        for row in range(len(response)):
+            response[row] = 0.0
+        first = p['cable_first'][cable]
+        second = p['cable_second'][cable]
+        response[first] += p['cable_first_ratio'][cable]
+        response[second] += p['cable_second_ratio'][cable]
+        for row in range(len(response)):
+            if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+                response[row] = 0.0
+        solve(s['factors'], response)
+        compliance = 0.5 * step * step * (
+            p['cable_first_ratio'][cable] * response[first]
+            + p['cable_second_ratio'][cable] * response[second]
+        )
+        full = p['cable_stiffness'][cable]
+        if start > 0.0 and free_end < 0.5 * full * compliance * start or start <= 0.0 < free_end:
+            s['cable_force'][cable] = tension_in_crossing(start, free_end, compliance, full)
+        elif start > 0.0:
+            s['cable_stiffness'][cable] = stiffness
+            s['cable_damping'][cable] = damping
+        _find_velocity_change(s, p, step)

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The plant as a ROS 2 node: terminal voltages in, encoder counts and measured currents out.
+
+The plant keeps the time of the twin. In lock-step it goes to the next tick when the voltages of this
+one are there; in real time it follows the wall clock and uses the newest voltages. Service `~/pause`
+stops and continues time; a twin that is paused at tick 0 (parameter `start_paused`) waits there with
+all its nodes connected, so that nobody misses the beginning.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import KeyValue
+from rosgraph_msgs.msg import Clock as ClockMessage
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool
+from waferbot_lockstep.contract import (
+    ALL_AXES,
+    ALL_ENCODERS,
+    AXES,
+    ENCODERS_TOPIC,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    SLOW_DIVIDER,
+    Topic,
+)
+from waferbot_lockstep.node import LOCKSTEP, REALTIME, LockstepNode, lockstep_qos, run_node
+from waferbot_lockstep.parameters import Parameter
+from waferbot_lockstep.standard_messages import (
+    CLOCK,
+    JOINT_STATES,
+    clock_message,
+    joint_state_message,
+)
+
+from waferbot_plant import plant
+
+REALTIME_SETTINGS = (
+    Parameter(
+        'realtime_factor', 1.0, '', 1e-3, 100.0, 'sim seconds per wall second in real time', fixed=True
+    ),
+)
+
+LONGEST_STRETCH_TICKS = 1800
+"""In real time, ticks that may be made up for at once after a delay (0.1 s) before others are served."""
+
+
+class PlantNode(LockstepNode):
+    """Mechanism, motors and encoders of all three axes."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Load the description and compile the model."""
+        super().__init__(
+            'plant', {PHASE_VOLTAGES: ALL_AXES}, (ENCODERS_TOPIC, PHASE_CURRENTS), **node_options
+        )
+        description = self.declare_parameter('description', 'rigid').value
+        damping = self.declare_choice(
+            'damping', 'improved', ('calculated', 'improved'), 'damping of the connections'
+        )
+        self._paused = bool(self.declare_parameter('start_paused', False).value)
+        self._realtime_factor = float(
+            self.declare_settings('', REALTIME_SETTINGS)['realtime_factor']
+        )
+        machine = plant.load_machine(description, damping=damping, timing=self.timing)
+        self._model_parameters = machine.parameters()
+        self._model_state = machine.initial_state(self._model_parameters)
+        self._tick = 0
+        self._counts = np.zeros(4, np.int64)
+        self._line_currents = np.zeros(2 * len(AXES))
+        self._position = np.zeros(len(AXES))
+        self._velocity = np.zeros(len(AXES))
+        self._due = False
+        self._started_s: float | None = None
+        self._started_tick = 0
+        self._slowest_lag_ticks = 0
+        self._warm_up(machine)
+        self._clock_publisher = self.create_publisher(ClockMessage, CLOCK[0], lockstep_qos())
+        self._joint_publisher = self.create_publisher(JointState, JOINT_STATES[0], lockstep_qos())
+        self.create_service(SetBool, '~/pause', self._on_pause)
+
+    @property
+    def tick(self) -> int:
+        """The tick at which the plant stands."""
+        return self._tick
+
+    def begin(self) -> None:
+        """Send the feedback of tick 0."""
+        super().begin()
+        self._measure()
+
+    def on_input(self, topic: Topic) -> None:
+        """Go on to the next tick when the voltages of this one are there."""
+        inbox = self.inboxes[topic]
+        if not inbox.complete:
+            return
+        if self.timekeeping == LOCKSTEP:
+            inbox.consumed()
+            self._due = True
+            if not self._paused:
+                self._advance()
+        elif self._started_s is None and not self._paused:
+            self._started_s = time.monotonic()
+            self._started_tick = self._tick
+
+    def sleep_time_s(self) -> float | None:
+        """Return the wall time until the next tick is due."""
+        if self.timekeeping != REALTIME or self._started_s is None or self._paused:
+            return None
+        ahead = (self._tick + 1 - self._started_tick) * self.timing.tick_s / self._realtime_factor
+        return self._started_s + ahead - time.monotonic()
+
+    def on_time(self) -> None:
+        """Follow the wall clock: take every tick that is due, with the newest voltages."""
+        for _ in range(LONGEST_STRETCH_TICKS):
+            wait_s = self.sleep_time_s()
+            if wait_s is None or wait_s > 0.0 or self.outcome is not None:
+                return
+            lag = int(-wait_s * self._realtime_factor * self.timing.current_loop_hz)
+            self._slowest_lag_ticks = max(self._slowest_lag_ticks, lag)
+            self.inboxes[PHASE_VOLTAGES].now = self._tick + 1
+            self._advance()
+
+    def _advance(self) -> None:
+        """Integrate over this tick with the voltages held, then measure at the next one."""
+        self._due = False
+        plant.advance(self._model_state, self._model_parameters, self.inboxes[PHASE_VOLTAGES].values)
+        self._tick += 1
+        if self.end_tick and self._tick >= self.end_tick:
+            self.finish()
+        else:
+            self._measure()
+
+    def _measure(self) -> None:
+        tick = self._tick
+        plant.measure(
+            self._model_state, self._model_parameters, tick, self._counts, self._line_currents
+        )
+        if tick % SLOW_DIVIDER == 0:
+            self._publish_slow_topics(tick)
+        if tick % self.timing.encoder_divider == 0:
+            self.give(ENCODERS_TOPIC, tick, ALL_ENCODERS, self._counts.tolist())
+        self.give(PHASE_CURRENTS, tick, ALL_AXES, self._line_currents.tolist())
+
+    def _publish_slow_topics(self, tick: int) -> None:
+        stamp_ns = self.timing.stamp_ns(tick)
+        self.publish(self._clock_publisher, clock_message(stamp_ns))
+        plant.joint_positions(self._model_state, self._model_parameters, self._position, self._velocity)
+        self.publish(
+            self._joint_publisher,
+            joint_state_message(
+                stamp_ns,
+                AXES,
+                self._position.tolist(),
+                self._velocity.tolist(),
+            ),
+        )
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        self._paused = request.data
+        response.success = True
+        response.message = f'{"paused" if request.data else "running"} at tick {self._tick}'
+        self._started_s = None
+        if not self._paused:
+            if self._due:
+                self._advance()
+            elif self.timekeeping == REALTIME:
+                self.on_input(PHASE_VOLTAGES)
+        return response
+
+    def diagnostic_values(self) -> list[KeyValue]:
+        """Tell how far the plant fell behind the wall clock."""
+        if self.timekeeping != REALTIME:
+            return [KeyValue(key='paused', value=str(self._paused))]
+        return [
+            KeyValue(key='paused', value=str(self._paused)),
+            KeyValue(key='realtime factor', value=f'{self._realtime_factor:g}'),
+            KeyValue(key='largest lag in ticks', value=str(self._slowest_lag_ticks)),
+        ]
+
+    def _warm_up(self, machine: Any) -> None:
+        """Compile before the first message, so that no peer waits for the compiler."""
+        state = machine.initial_state(self._model_parameters)
+        plant.measure(state, self._model_parameters, 0, self._counts.copy(), self._line_currents.copy())
+        plant.advance(state, self._model_parameters, np.zeros(3 * len(AXES)))
+        plant.joint_positions(state, self._model_parameters, self._position, self._velocity)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node: `ros2 run waferbot_plant plant --ros-args --params-file FILE`."""
+    return run_node(PlantNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From the parts named in a description to stiffness, loss factor and friction.
+
+A part is given by what its supplier or drawing states; `parts` holds the equations. Here they are
+applied: which kinds there are, what each gives, and which static load of the machine at home a bearing's
+secant stiffness is taken at. The equations of guides and cross-roller bearings have the machine's
+directions in them: gravity along -y, rails along y, X-Rotate along x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+
+from waferbot_plant.marked_yaml import Document, Key
+from waferbot_plant.parts import (
+    belt,
+    cable,
+    cross_roller_bearing,
+    ferrofluid_seal,
+    gearbox,
+    linear_bearing,
+    lip_seal,
+    shaft,
+    y_rotate_bearings,
+)
+from waferbot_plant.parts.belt import Belt
+from waferbot_plant.parts.cable import Cable
+from waferbot_plant.parts.cross_roller_bearing import CrossRollerBearing
+from waferbot_plant.parts.ferrofluid_seal import FerrofluidSeal
+from waferbot_plant.parts.friction import SpeedFriction
+from waferbot_plant.parts.gearbox import Gearbox
+from waferbot_plant.parts.linear_bearing import LinearBearing
+from waferbot_plant.parts.lip_seal import LipSeal
+from waferbot_plant.parts.shaft import Shaft
+from waferbot_plant.parts.y_rotate_bearings import YRotateBearings
+
+KINDS: dict[str, type] = {
+    'cable': Cable,
+    'linear_bearing': LinearBearing,
+    'cross_roller_bearing': CrossRollerBearing,
+    'shaft': Shaft,
+    'ferrofluid_seal': FerrofluidSeal,
+    'gearbox': Gearbox,
+    'belt': Belt,
+    'lip_seal': LipSeal,
+    'y_rotate_bearings': YRotateBearings,
+}
+"""Kinds of part, with the dataclass whose fields are the keys of the file."""
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What hangs on a joint at home: mass in kg, centre of gravity from the joint's point in m."""
+
+    mass: float
+    x: float
+    z: float
+
+
+def read_part(document: Document, key: Key, data: dict[str, Any]) -> Any:
+    """Build a part from its mapping; raises `UserError` naming file, line and key."""
+    values = dict(data)
+    kind = KINDS[values.pop('kind')]
+    return _build(document, key, kind, values)
+
+
+def _build(document: Document, key: Key, kind: type, data: Any) -> Any:
+    """Build the dataclass `kind` from a mapping whose keys are its fields."""
+    if not isinstance(data, dict):
+        raise document.error(key, 'must be a mapping')
+    types = typing.get_type_hints(kind)
+    for name in data:
+        if name not in types:
+            raise document.error((*key, name), f'unknown key{did_you_mean(name, types)}')
+    missing = [name for name in types if name not in data]
+    if missing:
+        raise document.error(key, f'{" and ".join(missing)} missing')
+    values = {}
+    for name, inner in types.items():
+        value = data[name]
+        if dataclasses.is_dataclass(inner):
+            values[name] = _build(document, (*key, name), typing.cast(type, inner), value)
+            continue
+        wants_list = typing.get_origin(inner) is tuple
+        numbers = value if isinstance(value, list) else [value]
+        for number in numbers:
+            if isinstance(number, bool) or not isinstance(number, (int, float)):
+                raise document.error((*key, name), f'is {number!r}; it must be a number')
+        if wants_list != isinstance(value, list):
+            wanted = 'a list of numbers' if wants_list else 'one number'
+            raise document.error((*key, name), f'must be {wanted}')
+        values[name] = tuple(value) if wants_list else value
+    try:
+        return kind(**values)
+    except UserError as error:
+        raise document.error(key, str(error)) from None
+
+
+def directions(part: Any) -> tuple[str, ...]:
+    """Return in which directions a part has a stiffness; one without a name needs none."""
+    if isinstance(part, LinearBearing):
+        return 'about_x', 'about_y', 'about_z'
+    if isinstance(part, CrossRollerBearing):
+        return 'radial_y', 'about_y', 'about_z'
+    if isinstance(part, Shaft):
+        return 'torsion', 'bending'
+    return ('',) if isinstance(part, (Cable, Gearbox, Belt)) else ()
+
+
+def stiffness(part: Any, direction: str, carried: Callable[[], Carried]) -> tuple[float, bool]:
+    """
+    Return the stiffness of a part in a direction, and whether it is rotary (Nm/rad, else N/m).
+
+    `carried` tells what hangs on the joint that the part is in; asked of bearings only.
+    """
+    if isinstance(part, LinearBearing):
+        moments = linear_bearing.moment_stiffness(part, guide_load(part, carried()))
+        return getattr(moments, f'{direction}_nm_per_rad'), True
+    if isinstance(part, CrossRollerBearing):
+        stiffnesses = cross_roller_bearing.stiffness(part, ring_load(carried()))
+        rotary = direction != 'radial_y'
+        return getattr(stiffnesses, f'{direction}_{"nm_per_rad" if rotary else "n_per_m"}'), rotary
+    if isinstance(part, Shaft):
+        if direction == 'torsion':
+            return shaft.torsional_stiffness_nm_per_rad(part), True
+        return shaft.bending_stiffness_n_per_m(part), False
+    if isinstance(part, Gearbox):
+        return gearbox.torsional_stiffness_nm_per_rad(part), True
+    if isinstance(part, Belt):
+        return belt.axial_stiffness_n_per_m(part), False
+    return cable.effective_stiffness_n_per_m(part), False
+
+
+def guide_load(part: LinearBearing, carried: Carried) -> linear_bearing.BlockLoad:
+    """Return the static load on each block of a guide, (5.20), (5.21)."""
+    return linear_bearing.static_block_load(
+        carried.mass, carried.x, carried.z, part.vertical_spacing_m
+    )
+
+
+def ring_load(carried: Carried) -> cross_roller_bearing.CrossRollerLoad:
+    """Return the static load on a cross-roller bearing whose axis is x."""
+    return cross_roller_bearing.static_load(carried.mass, carried.x)
+
+
+def friction(part: Any, other: Any, carried: Callable[[], Carried]) -> SpeedFriction:
+    """
+    Return the friction of a part: at rest (N or Nm), and what it gains per speed (viscous).
+
+    `other` is the part that takes part in it: the bearing inside a ferrofluid seal, the belt that
+    pulls on the Y-Rotate bearings. Raises `UserError` if it is missing or the part has no friction.
+    """
+    if isinstance(part, LinearBearing):
+        return SpeedFriction(
+            linear_bearing.travel_friction_n(part, guide_load(part, carried())), 0.0
+        )
+    if isinstance(part, FerrofluidSeal):
+        if not isinstance(other, CrossRollerBearing):
+            raise UserError('a ferrofluid seal needs `with`, naming its cross-roller bearing')
+        bearing = cross_roller_bearing.friction_torque_nm(other, ring_load(carried()))
+        return ferrofluid_seal.drag(part, bearing)
+    if isinstance(part, Gearbox):
+        return gearbox.no_load_friction(part)
+    if isinstance(part, LipSeal):
+        return SpeedFriction(lip_seal.drag_torque_nm(part), 0.0)
+    if isinstance(part, YRotateBearings):
+        if not isinstance(other, Belt):
+            raise UserError('the Y-Rotate bearings need `with`, naming the belt that pulls on them')
+        load = carried()
+        loads = y_rotate_bearings.static_loads(
+            part, load.mass, load.x, load.z, belt.shaft_force_n(other)
+        )
+        return SpeedFriction(y_rotate_bearings.friction_torque_nm(part, loads), 0.0)
+    raise UserError(f'there is no friction in a part of kind {type(part).__name__}')

@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The plant as the rest of the twin sees it: load a machine, measure it, advance it by a tick.
+
+    machine = load_machine('rigid')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    measure(state, parameters, tick, counts, line_currents)
+    advance(state, parameters, voltage)
+
+State and parameters are structured arrays of one element whose dtypes follow from the description;
+`measure` and `advance` are compiled for them at the first call and kept on disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+from waferbot_lockstep.timing import Timing
+
+from waferbot_plant import elements, encoders, integrator, motors, multibody
+from waferbot_plant.assembly import Assembly, Element, assemble
+from waferbot_plant.description import Description, load_description
+from waferbot_plant.marked_yaml import Document, read
+
+
+@njit(cache=True, error_model='numpy')
+def measure(state, parameters, tick, counts, line_currents):
+    """
+    Measure the machine at tick `tick`.
+
+    `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
+    ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of each
+    motor, A, positive into the motor. Places of axes that the machine does not have are zero.
+    """
+    s = state[0]
+    p = parameters[0]
+    encoders.measure_counts(s, p, tick, counts)
+    motors.measure_line_currents(s, p, line_currents)
+
+
+@njit(cache=True, error_model='numpy')
+def advance(state, parameters, voltage):
+    """
+    Advance the machine by one tick.
+
+    `voltage` float64 (9,): terminals 1, 2, 3 of each motor against the middle of the bus, V, held
+    over the tick. Any common reference will do: only differences within a motor matter.
+    """
+    s = state[0]
+    p = parameters[0]
+    for _ in range(p['substeps']):
+        integrator.advance_step(s, p, voltage, p['step'])
+
+
+@njit(cache=True, error_model='numpy')
+def joint_positions(state, parameters, position, velocity):
+    """Fill `position` and `velocity` (3,) of the axes, m or rad and per s; zero without that axis."""
+    s = state[0]
+    p = parameters[0]
+    for axis in range(len(position)):
+        coordinate = p['axis_coordinate'][axis]
+        position[axis] = p['axis_ratio'][axis] * s['position'][coordinate]
+        velocity[axis] = p['axis_ratio'][axis] * s['velocity'][coordinate]
+
+
+@njit(cache=True, error_model='numpy')
+def mass_matrix(state, parameters, matrix):
+    """Fill the symmetric `matrix` (n, n) with M at the present pose, kg, kg m, kg m2."""
+    s = state[0]
+    multibody.mass_matrix_and_bias(s, parameters[0], s['position'], s['velocity'])
+    for row in range(len(matrix)):
+        for column in range(row + 1):
+            matrix[row, column] = matrix[column, row] = s['mass_matrix'][row, column]
+
+
+@njit(cache=True, error_model='numpy')
+def acceleration(state, parameters, force, result):
+    """
+    Fill `result` (n,) with z'' at the present state under the forces `force` (n,), N or Nm.
+
+    Forces of springs, dampers, cables and gravity are added; dry friction and motors are not, nor is
+    `external_force`. This is the instant's equation of motion, for comparison with other engines;
+    `advance` does not use it.
+    """
+    s = state[0]
+    p = parameters[0]
+    position = s['position']
+    velocity = s['velocity']
+    multibody.mass_matrix_and_bias(s, p, position, velocity)
+    for row in range(len(result)):
+        result[row] = force[row] - s['bias'][row]
+        for column in range(row + 1):
+            s['factors'][row, column] = s['mass_matrix'][row, column]
+    elements.judge_cables(s, p, position, velocity)
+    elements.subtract_instant_forces(s, p, position, velocity, result)
+    multibody.factorise(s['factors'])
+    multibody.solve(s['factors'], result)
+
+
+@njit(cache=True, error_model='numpy')
+def energy(state, parameters, result):
+    """
+    Fill `result` (4,) with the stored energies, J: kinetic, gravity, elastic, magnetic.
+
+    Gravity is zero with every body at the base origin, springs and cables where they are unloaded.
+    """
+    s = state[0]
+    p = parameters[0]
+    multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
+    result[0] = multibody.kinetic_energy(s, p, s['velocity'])
+    result[1] = multibody.gravity_energy(s, p)
+    result[2] = elements.elastic_energy(s, p, s['position'])
+    result[3] = motors.magnetic_energy(s, p)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """A machine that was loaded: its description, its assembly, and what it looks like in memory."""
+
+    description: Description
+    assembly: Assembly
+    timing: Timing
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the minimal coordinates, in order."""
+        return self.assembly.coordinates
+
+    @cached_property
+    def _sizes(self) -> dict[str, int]:
+        """Sizes of the arrays; at least one of everything, so that no array is empty."""
+        frictions = self.description.frictions.values()
+        return {
+            'springs': max(1, len(self.assembly.springs)),
+            'frictions': max(1, len(frictions)),
+            'points': max((len(friction.speeds) for friction in frictions), default=1),
+        }
+
+    @cached_property
+    def parameter_dtype(self) -> np.dtype:
+        """Dtype of the parameters."""
+        links, size = len(self.assembly.links), len(self.coordinates)
+        return np.dtype(
+            [
+                ('step', 'f8'),
+                ('substeps', 'i8'),
+                *multibody.parameter_fields(links, size),
+                *elements.parameter_fields(cables=len(self.assembly.cables), **self._sizes),
+                *motors.PARAMETER_FIELDS,
+                *encoders.PARAMETER_FIELDS,
+                ('axis_coordinate', 'i8', (len(AXES),)),
+                ('axis_ratio', 'f8', (len(AXES),)),
+            ],
+            align=True,
+        )
+
+    @cached_property
+    def state_dtype(self) -> np.dtype:
+        """Dtype of the state, which includes the ledgers of energy and the step's workings."""
+        links, size = len(self.assembly.links), len(self.coordinates)
+        return np.dtype(
+            [
+                *integrator.state_fields(size),
+                *motors.STATE_FIELDS,
+                *encoders.STATE_FIELDS,
+                *elements.state_fields(
+                    self._sizes['springs'],
+                    len(self.assembly.cables),
+                    self._sizes['frictions'],
+                    size,
+                ),
+                *multibody.workspace_fields(links, size),
+            ],
+            align=True,
+        )
+
+    def parameters(self) -> NDArray[np.void]:
+        """Return the parameters, a structured array of one element."""
+        parameters = np.zeros(1, self.parameter_dtype)
+        p = parameters[0]
+        description = self.description
+        p['substeps'] = description.substeps
+        p['step'] = self.timing.tick_s / description.substeps
+        self._fill_mechanism(p)
+        self._fill_elements(p)
+        for place, axis in enumerate(AXES):
+            if axis in description.axes:
+                coordinate = description.axes[axis]
+                p['axis_coordinate'][place], p['axis_ratio'][place] = self._placing(coordinate)
+            if axis in description.motors:
+                motor = description.motors[axis]
+                coordinate, ratio = self._placing(motor.coordinate)
+                p['motor_coordinate'][place], p['motor_ratio'][place] = coordinate, ratio
+                p['electrical_gain'][place] = motor.electrical_gain
+                (
+                    p['winding'][place],
+                    p['resistance'][place],
+                    p['inductance'][place],
+                    p['back_emf'][place],
+                ) = motors.winding_data(motor)
+        for place, name in enumerate(ENCODERS):
+            if name in description.encoders:
+                encoder = description.encoders[name]
+                coordinate, ratio = self._placing(encoder.coordinate)
+                p['encoder_coordinate'][place] = coordinate
+                p['counts_per_unit'][place] = encoder.counts_per_unit * ratio
+        p['encoder_divider'] = description.encoder_divider
+        p['encoder_delay'] = description.encoder_delay
+        return parameters
+
+    def _placing(self, coordinate: str) -> tuple[int, float]:
+        """Return where a coordinate of the description is in z, and its ratio."""
+        return self.assembly.placing[coordinate]
+
+    def _fill_mechanism(self, p: np.void) -> None:
+        """Write the links."""
+        assembly = self.assembly
+        p['gravity'] = self.description.gravity
+        p['rotor_inertia'] = assembly.rotor_inertia
+        for place, link in enumerate(assembly.links):
+            parent_point = assembly.links[link.parent].point if link.parent >= 0 else np.zeros(3)
+            inertia = link.inertia
+            p['parent'][place] = link.parent + 1
+            p['revolute'][place] = link.freedom.revolute
+            p['axis'][place] = link.freedom.axis
+            p['offset'][place] = link.point - parent_point
+            p['mass'][place] = link.mass
+            p['first_moment'][place] = link.first_moment
+            p['inertia'][place] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+            p['coordinate'][place], p['ratio'][place] = self._placing(link.freedom.name)
+
+    def _fill_elements(self, p: np.void) -> None:
+        """Write springs, cables and frictions."""
+        _fill_two_sided(p, 'spring', self.assembly.springs)
+        _fill_two_sided(p, 'cable', self.assembly.cables)
+        p['friction_points'] = 1
+        for place, friction in enumerate(self.description.frictions.values()):
+            points = len(friction.speeds)
+            coordinate, ratio = self._placing(friction.coordinate)
+            p['friction_coordinate'][place], p['friction_ratio'][place] = coordinate, ratio
+            p['friction_points'][place] = points
+            p['friction_speed'][place, :points] = friction.speeds
+            p['friction_resistance'][place, :points] = friction.resistances
+            p['friction_breakaway'][place] = friction.breakaway
+
+    def initial_state(self, parameters: NDArray[np.void]) -> NDArray[np.void]:
+        """Return the state at rest in the home pose, no current, encoder history filled with it."""
+        state = np.zeros(1, self.state_dtype)
+        fill_readings(state, parameters)
+        return state
+
+
+def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None:
+    """Fill the encoders' history as if the machine had always stood where it is."""
+    for encoder in range(encoders.ENCODERS):
+        count = encoders.read_encoder(parameters[0], state[0]['position'], encoder)
+        state[0]['readings'][:, encoder] = count
+
+
+def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None:
+    """Write springs or cables; one that acts on a single coordinate has that one twice."""
+    for place, element in enumerate(two_sided):
+        (first, first_ratio), (second, second_ratio) = [*element.terms, (element.terms[0][0], 0.0)][:2]
+        values = {
+            'first': first,
+            'second': second,
+            'first_ratio': first_ratio,
+            'second_ratio': second_ratio,
+            'stiffness': element.stiffness,
+            'damping': element.damping,
+            'rest': element.rest,
+        }
+        for name, value in values.items():
+            p[f'{kind}_{name}'][place] = value
+
+
+def config_folder() -> Path:
+    """Return the folder of the descriptions that come with the package, installed or in the source."""
+    here = Path(__file__).resolve()
+    candidates = [here.parents[1] / 'config']
+    candidates += [above / 'share' / 'waferbot_plant' / 'config' for above in here.parents]
+    for folder in candidates:
+        if folder.is_dir():
+            return folder
+    raise UserError('the folder of machine descriptions is missing; install waferbot_plant again')
+
+
+def find_description(name_or_path: str | Path) -> Path:
+    """Return the file of a description: a path as it is, a name as one that comes with the package."""
+    path = Path(name_or_path)
+    if path.suffix in ('.yaml', '.yml') or path.parent != Path('.'):
+        if not path.is_file():
+            raise UserError(f'{path}: no such machine description')
+        return path
+    folder = config_folder()
+    known = {
+        file.stem: file
+        for file in [*folder.glob('examples/*.yaml'), *folder.glob('*.yaml')]
+        if 'bodies:' in file.read_text('utf-8') or 'extends:' in file.read_text('utf-8')
+    }
+    if str(name_or_path) not in known:
+        hint = did_you_mean(str(name_or_path), known)
+        raise UserError(
+            f'no machine {str(name_or_path)!r}{hint} (there are: {", ".join(sorted(known))}; '
+            'or give the path of a .yaml file)'
+        )
+    return known[str(name_or_path)]
+
+
+def load_machine(
+    name_or_path: str | Path = 'flexible',
+    switches: Mapping[str, str] | str | None = None,
+    damping: str = 'improved',
+    overlays: Sequence[str | Path | Mapping] = (),
+    timing: Timing | None = None,
+) -> Machine:
+    """
+    Load a machine by the name of a description that comes with the package, or by its path.
+
+    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated` or
+    `improved`; `overlays` are files or mappings laid over the description in turn. Raises `UserError`.
+    """
+    documents = tuple(
+        Document(dict(overlay), {(): 'overlay'}) if isinstance(overlay, Mapping) else read(Path(overlay))
+        for overlay in overlays
+    )
+    path = find_description(name_or_path)
+    description = load_description(path, switches, damping, documents)
+    return Machine(description, assemble(description), timing or Timing())

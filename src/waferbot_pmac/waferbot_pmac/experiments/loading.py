@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reading and checking experiments."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+from waferbot_pmac.marked_yaml import MarkedYaml, parse
+
+LENGTH_UNITS = ('m', 'rad', 'counts')
+UNITS_OF_AXIS = {
+    'y_linear': ('m', 'counts'),
+    'x_rotate': ('rad', 'counts'),
+    'y_rotate': ('rad', 'counts'),
+}
+
+_QUANTITY_OF_KIND = {
+    'step': 'amplitude',
+    'bidirectional_step': 'amplitude',
+    'random': 'amplitude',
+    'swept_sine': 'amplitude',
+    'multisine': 'amplitude',
+    'constant_velocity': 'distance',
+    'jog': 'distance',
+    'linear': 'distance',
+    'rapid': 'distance',
+}
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """
+    One checked experiment.
+
+    Exactly one of `motion` (axis -> motion) and `program` (statements) is not empty; their keys are
+    those of the schema. `text` is the YAML it was read from, to be recorded with a run.
+    """
+
+    name: str
+    description: str
+    duration_s: float
+    motion: Mapping[str, Mapping[str, Any]]
+    program: tuple[Mapping[str, Any], ...]
+    text: str
+    document: MarkedYaml
+
+
+def shipped_experiments() -> list[str]:
+    """Return the names of the experiments that come with this package, sorted."""
+    return sorted(
+        entry.name.removesuffix('.yaml')
+        for entry in resources.files(__package__).iterdir()
+        if entry.name.endswith('.yaml')
+    )
+
+
+def load_experiment(name_or_path_or_text: str | Path) -> Experiment:
+    """
+    Return the experiment of that name, in that file, or with that YAML text.
+
+    Text is what has a line break or begins with `{`; a name is one of `shipped_experiments`; anything
+    else is a path. Raises `UserError` with file, line and key for what is wrong in it.
+    """
+    given = str(name_or_path_or_text)
+    if '\n' in given or given.lstrip().startswith('{'):
+        return _checked(given, 'experiment text')
+    if given in shipped_experiments():
+        text = resources.files(__package__).joinpath(f'{given}.yaml').read_text('utf-8')
+        return _checked(text, f'{given}.yaml')
+    try:
+        return _checked(Path(given).read_text('utf-8'), given)
+    except (OSError, ValueError) as error:
+        known = shipped_experiments()
+        raise UserError(
+            f'experiment {given!r} is neither shipped nor a readable file ({error})'
+            f'{did_you_mean(given, known)}; shipped are: {", ".join(known)}'
+        ) from error
+
+
+@functools.lru_cache(maxsize=1)
+def _validator() -> jsonschema.protocols.Validator:
+    text = resources.files(__package__).joinpath('experiment.schema.json').read_text('utf-8')
+    return jsonschema.Draft202012Validator(json.loads(text))
+
+
+def _checked(text: str, source: str) -> Experiment:
+    document = parse(text, source)
+    for error in _validator().iter_errors(document.data):
+        raise UserError(_explained(error, document))
+    data = document.data
+    for path in _not_finite(data, ()):
+        raise UserError(f'{document.where(path)} must be a finite number')
+    if ('motion' in data) == ('program' in data):
+        raise UserError(f'{document.where(())}: give either motion or program')
+    for axis, motion in data.get('motion', {}).items():
+        _check_motion(document, axis, motion)
+    for place, statement in enumerate(data.get('program', [])):
+        _check_statement(document, place, statement)
+    return Experiment(
+        name=data['name'],
+        description=data.get('description', '').strip(),
+        duration_s=float(data['duration_s']),
+        motion=data.get('motion', {}),
+        program=tuple(data.get('program', ())),
+        text=text,
+        document=document,
+    )
+
+
+def _explained(error: jsonschema.ValidationError, document: MarkedYaml) -> str:
+    """Return one line for the user from an error of the schema."""
+    path = tuple(error.absolute_path)
+    if error.validator == 'additionalProperties':
+        known = error.schema['properties']
+        key = next(key for key in error.instance if key not in known)
+        return f'{document.where((*path, key))} is not known here{did_you_mean(str(key), known)}'
+    if error.validator == 'required':
+        missing = next(key for key in error.validator_value if key not in error.instance)
+        return f'{document.where(path)}: {missing} is missing'
+    if error.validator == 'enum':
+        wanted = ', '.join(map(str, error.validator_value))
+        return f'{document.where(path)} is {error.instance!r}; it must be one of {wanted}'
+    if not path and error.validator == 'type':
+        return f'{document.where(())}: an experiment is a mapping with name, duration_s and motion'
+    return f'{document.where(path)}: {error.message}'
+
+
+def _not_finite(data: Any, path: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from _not_finite(value, (*path, key))
+    elif isinstance(data, list):
+        for place, value in enumerate(data):
+            yield from _not_finite(value, (*path, place))
+    elif isinstance(data, float) and not math.isfinite(data):
+        yield path
+
+
+def _check_motion(document: MarkedYaml, axis: str, motion: Mapping[str, Any]) -> None:
+    """Check what the schema cannot say: units of the axis, one of several keys, order of times."""
+    path = ('motion', axis)
+    kind = motion['kind']
+    if kind in _QUANTITY_OF_KIND:
+        _only_one(document, path, motion, _length_keys(_QUANTITY_OF_KIND[kind]))
+    elif any(key in motion for key in _length_keys('position')):
+        _only_one(document, path, motion, _length_keys('position'))
+    speeds = [f'speed_{unit}_per_s' for unit in LENGTH_UNITS]
+    if kind == 'linear':
+        _only_one(document, path, motion, [*speeds, 'move_time_s'])
+    elif kind == 'constant_velocity' or any(key in motion for key in speeds):
+        _only_one(document, path, motion, speeds)
+    for key in motion:
+        for unit in LENGTH_UNITS:
+            if key.endswith((f'_{unit}', f'_{unit}_per_s')) and unit not in UNITS_OF_AXIS[axis]:
+                wanted = ' or '.join(UNITS_OF_AXIS[axis])
+                raise UserError(f'{document.where((*path, key))}: {axis} is measured in {wanted}')
+    start_s = motion.get('start_s', 0.0)
+    for key in ('return_s', 'end_s'):
+        if key in motion and motion[key] <= start_s:
+            raise UserError(
+                f'{document.where((*path, key))} must be later than start_s ({start_s:g})'
+            )
+    if 'first_frequency_hz' in motion:
+        first, last = motion['first_frequency_hz'], motion['last_frequency_hz']
+        if kind == 'swept_sine' and first == last:
+            raise UserError(
+                f'{document.where((*path, "last_frequency_hz"))} must differ from the first'
+            )
+        if kind == 'multisine' and first > last:
+            raise UserError(
+                f'{document.where((*path, "last_frequency_hz"))} must not be below the first'
+            )
+
+
+def _length_keys(quantity: str) -> list[str]:
+    return [f'{quantity}_{unit}' for unit in LENGTH_UNITS]
+
+
+def _only_one(
+    document: MarkedYaml,
+    path: tuple[str | int, ...],
+    mapping: Mapping[str, Any],
+    keys: list[str],
+) -> None:
+    given = [key for key in keys if key in mapping]
+    if len(given) > 1:
+        raise UserError(
+            f'{document.where((*path, given[1]))}: {given[0]} is given as well; keep one of them'
+        )
+    if not given:
+        raise UserError(f'{document.where(path)}: one of {", ".join(keys)} is missing')
+
+
+def _check_statement(document: MarkedYaml, place: int, statement: Mapping[str, Any]) -> None:
+    path = ('program', place)
+    _only_one(document, path, statement, ['dwell_s', 'linear', 'rapid'])
+    if 'linear' not in statement:
+        for key in statement:
+            if key not in ('dwell_s', 'rapid'):
+                raise UserError(f'{document.where((*path, key))} belongs to a linear move')
+    for mode in ('linear', 'rapid'):
+        targets = statement.get(mode, {})
+        for axis in UNITS_OF_AXIS:
+            keys = [key for key in targets if key.startswith(axis)]
+            if len(keys) > 1:
+                raise UserError(
+                    f'{document.where((*path, mode, keys[1]))}: {keys[0]} is given as well'
+                )

@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The PMAC as a ROS 2 node: counts in, current commands out.
+
+Every I-variable is a parameter of the node (`y_linear.Ixx30`, ...), with the manual's meaning and
+range; those that the controller lets you change with the loop closed can be changed while it runs
+and act from the next servo cycle. The action `run_experiment` runs a motion from wherever the axes
+are commanded to be; the parameter `experiment` names the one that begins at tick 0.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rclpy.action import ActionServer, GoalResponse
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.task import Future
+from waferbot_lockstep.contract import (
+    ALL_AXES,
+    ALL_ENCODERS,
+    AXES,
+    CURRENT_COMMAND,
+    ENCODERS_TOPIC,
+    SERVO_STATE,
+    Topic,
+)
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.inbox import Inbox
+from waferbot_lockstep.node import LockstepNode, run_node
+from waferbot_msgs.action import RunExperiment
+
+from waferbot_pmac import servo
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
+
+FEEDBACK_CYCLES = 225
+"""Servo cycles between two feedback messages of a running experiment (0.1 s)."""
+
+
+class Motion:
+    """
+    An experiment that is being run.
+
+    `positions` has the commanded position per servo cycle, counts, relative to where it began.
+    """
+
+    def __init__(self, positions: np.ndarray, start: np.ndarray, first_cycle: int) -> None:
+        """Begin at servo cycle `first_cycle` from the commanded positions `start`, in counts."""
+        self.positions = positions
+        self.start = start
+        self.first_cycle = first_cycle
+        self.peak_following_error = np.zeros(len(AXES))
+
+    def commanded(self, cycle: int) -> np.ndarray:
+        """Return the commanded positions in counts; behind the end, the last ones."""
+        place = min(cycle - self.first_cycle, len(self.positions) - 1)
+        return self.start + self.positions[place]
+
+    def over(self, cycle: int) -> bool:
+        """Tell whether `cycle` is the last of the experiment, or behind it."""
+        return cycle - self.first_cycle >= len(self.positions) - 1
+
+
+class PmacNode(LockstepNode):
+    """Position controller of all three axes."""
+
+    def __init__(self, **node_options: Any) -> None:
+        """Declare the I-variables, compile the servo, load the first experiment."""
+        super().__init__(
+            'pmac',
+            {ENCODERS_TOPIC: ALL_ENCODERS},
+            (CURRENT_COMMAND, SERVO_STATE),
+            **node_options,
+        )
+        settings = {axis: self.declare_settings(axis, axis_parameters(axis)) for axis in AXES}
+        self._model_parameters = servo_parameters(settings, 'pmac')
+        self._model_state = servo.initial_state(self._model_parameters)
+        self._current = np.zeros(len(AXES))
+        self._cycle = 0
+        self._primed = False
+        name = self.declare_parameter('experiment', 'constant').value
+        self._motion = self._load(name, np.zeros(len(AXES)))
+        self._warm_up()
+        self.add_post_set_parameters_callback(self._apply_parameters)
+        self._goal: Any = None
+        self._goal_done: Future | None = None
+        self._actions = ActionServer(
+            self,
+            RunExperiment,
+            'run_experiment',
+            execute_callback=self._execute,
+            goal_callback=self._consider,
+        )
+
+    @property
+    def tick(self) -> int:
+        """The tick of the next servo cycle."""
+        return self._cycle * self.timing.servo_divider
+
+    def on_input(self, topic: Topic) -> None:
+        """Run a servo cycle when the counts of its tick are there."""
+        inbox = self.inboxes[topic]
+        if isinstance(inbox, Inbox):
+            if not inbox.complete:
+                return
+            tick = inbox.due
+            inbox.consumed()
+            if tick % self.timing.servo_divider == 0:
+                self._servo_cycle(tick, inbox.values)
+            if self.end_tick and tick + inbox.spacing >= self.end_tick:
+                self.finish()
+            return
+        cycle = inbox.newest_tick // self.timing.servo_divider
+        if inbox.complete and cycle >= self._cycle:
+            self._cycle = cycle
+            inbox.now = self.tick
+            self._servo_cycle(self.tick, inbox.values)
+
+    def _servo_cycle(self, tick: int, counts: np.ndarray) -> None:
+        if not self._primed:
+            position_encoders = self._model_parameters['Ixx03'][0]
+            self._motion.start = counts[position_encoders].astype(np.float64)
+            servo.prime(self._model_state, self._model_parameters, counts, self._motion.start)
+            self._primed = True
+        commanded = self._motion.commanded(self._cycle)
+        servo.step(self._model_state, self._model_parameters, counts, commanded, self._current)
+        state = self._model_state[0]
+        self.give(CURRENT_COMMAND, tick, ALL_AXES, self._current.tolist())
+        self.give(
+            SERVO_STATE,
+            tick,
+            ALL_AXES,
+            [
+                *state['commanded_position'].tolist(),
+                *state['following_error'].tolist(),
+                *state['output'].tolist(),
+                *state['integrator'].tolist(),
+                *state['flags'].tolist(),
+            ],
+        )
+        if self._goal is not None:
+            self._follow_goal(tick, state['following_error'])
+        self._cycle += 1
+
+    # ---- experiments -----------------------------------------------------------------------------
+
+    def _load(self, experiment: str, start: np.ndarray) -> Motion:
+        positions = commanded_positions(
+            load_experiment(experiment), self._model_parameters, self.timing.servo_hz
+        )
+        return Motion(positions, start, self._cycle)
+
+    def _consider(self, request: Any) -> GoalResponse:
+        return GoalResponse.REJECT if self._goal is not None else GoalResponse.ACCEPT
+
+    async def _execute(self, goal: Any) -> Any:
+        result = RunExperiment.Result()
+        try:
+            if not self._motion.over(self._cycle):
+                raise UserError('another experiment is still running; wait for its end')
+            self._motion = self._load(
+                goal.request.experiment, self._motion.commanded(self._cycle).copy()
+            )
+        except UserError as error:
+            result.message = str(error)
+            goal.abort()
+            return result
+        self._goal, self._goal_done = goal, Future()
+        await self._goal_done
+        result.success = True
+        result.first_tick = self._motion.first_cycle * self.timing.servo_divider
+        result.last_tick = self.tick - self.timing.servo_divider
+        result.peak_following_error = self._motion.peak_following_error
+        result.message = f'ran {len(self._motion.positions)} servo cycles'
+        goal.succeed()
+        return result
+
+    def _follow_goal(self, tick: int, following_error: np.ndarray) -> None:
+        motion = self._motion
+        np.maximum(
+            motion.peak_following_error,
+            np.abs(following_error),
+            out=motion.peak_following_error,
+        )
+        done = self._cycle - motion.first_cycle
+        if done % FEEDBACK_CYCLES == 0:
+            feedback = RunExperiment.Feedback(tick=tick)
+            feedback.progress = min(1.0, (done + 1) / len(motion.positions))
+            self._goal.publish_feedback(feedback)
+        if motion.over(self._cycle):
+            goal_done, self._goal, self._goal_done = self._goal_done, None, None
+            if goal_done is not None:
+                goal_done.set_result(True)
+
+    # ---- parameters ------------------------------------------------------------------------------
+
+    def _apply_parameters(self, parameters: Sequence[RosParameter]) -> None:
+        for parameter in parameters:
+            axis, _, name = parameter.name.partition('.')
+            if axis in AXES:
+                change_parameter(self._model_parameters, axis, name, parameter.value, loop_closed=True)
+
+    def _warm_up(self) -> None:
+        """Compile before the first message, so that no peer waits for the compiler."""
+        state = servo.initial_state(self._model_parameters)
+        counts = self.inboxes[ENCODERS_TOPIC].values.copy()
+        servo.prime(state, self._model_parameters, counts, np.zeros(len(AXES)))
+        servo.step(state, self._model_parameters, counts, np.zeros(len(AXES)), self._current.copy())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node: `ros2 run waferbot_pmac pmac --ros-args --params-file FILE`."""
+    return run_node(PmacNode, arguments)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

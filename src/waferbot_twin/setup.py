@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'waferbot_twin'
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    packages=find_packages(exclude=['test']),
+    package_data={'': ['*.json', '*.yaml', '*.html']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
+        ('share/' + package_name, ['package.xml']),
+        ('share/' + package_name + '/config/models', glob('config/models/*.*')),
+        ('share/' + package_name + '/launch', glob('launch/*.*')),
+    ],
+    install_requires=['setuptools'],
+    zip_safe=True,
+    maintainer='waferbot maintainers',
+    maintainer_email='maintainers@waferbot.invalid',
+    description='The twin as a whole: run, record, replay, plot; the waferbot command and the launch files.',
+    license='Apache-2.0',
+    entry_points={
+        'console_scripts': [
+            'waferbot = waferbot_twin.cli:main',
+        ],
+    },
+)

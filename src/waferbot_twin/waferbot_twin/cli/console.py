@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands print, and where: results to standard output, all else to standard error."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+QUIET_S = 2.0
+"""Nothing shorter than this gets a progress bar."""
+
+error_console = Console(stderr=True, highlight=False)
+result_console = Console(highlight=False)
+
+
+def print_json(result: Any) -> None:
+    """Print a result as JSON; numbers that are not finite become null."""
+    print(json.dumps(_finite(result), indent=2, sort_keys=True))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not abs(value) < float('inf'):
+        return None
+    return value
+
+
+def say(text: str) -> None:
+    """Tell the user something that is no result."""
+    print(text, file=sys.stderr)
+
+
+@contextlib.contextmanager
+def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Give a function (done, total) that draws a bar on a terminal, once it has taken a while."""
+    if not error_console.is_terminal:
+        yield lambda done, total: None
+        return
+    begun_s = time.monotonic()
+    bar = Progress(
+        TextColumn('{task.description}'),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=error_console,
+        transient=True,
+    )
+    task = bar.add_task(what, total=None)
+    started = False
+
+    def show(done: int, total: int) -> None:
+        nonlocal started
+        if not started:
+            if time.monotonic() - begun_s < QUIET_S:
+                return
+            started = True
+            bar.start()
+        bar.update(task, completed=done, total=total)
+
+    try:
+        yield show
+    finally:
+        if started:
+            bar.stop()

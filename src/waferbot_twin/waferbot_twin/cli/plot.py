@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Draw a recording: position, following error and current of each axis."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from waferbot_lockstep.errors import UserError
+
+from waferbot_twin.recording.reader import read_recording
+
+FORMATS = ('.png', '.svg', '.pdf')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `waferbot plot`."""
+    parser.add_argument('recording', type=Path, metavar='DIR', help='recording folder or .mcap file')
+    parser.add_argument(
+        '--out', type=Path, metavar='FILE', help='picture to write (default: DIR/plot.png)'
+    )
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Read the recording and draw it."""
+    from waferbot_twin.plot import plot_recording
+
+    path: Path = options.recording
+    recording = read_recording(path)
+    folder = path if path.is_dir() else path.parent
+    out = options.out or folder / 'plot.png'
+    if out.suffix not in FORMATS:
+        raise UserError(f'--out is {out}; give a file that ends in {", ".join(FORMATS)}')
+    plot_recording(recording, out)
+    print(out)
+    return 0

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A ROS domain for each twin, so that two twins on one machine do not hear each other.
+
+A twin takes the first domain that no other twin has; the claim is a locked file, which the system
+releases when the process ends, however it ends. A domain that the user names (option or
+ROS_DOMAIN_ID) is taken as it is, but not twice.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from pathlib import Path
+from typing import IO
+
+from waferbot_lockstep.errors import UserError
+
+FIRST_DOMAIN = 42
+LAST_DOMAIN = 101
+"""ROS 2 recommends domains up to 101 on Linux; 0 and the low ones are where people work by hand."""
+
+
+class Domain:
+    """A claimed ROS domain; the claim holds until `release` or the end of the process."""
+
+    def __init__(self, wanted: int | None = None) -> None:
+        """Claim `wanted`, else the user's ROS_DOMAIN_ID, else a free domain; raises `UserError`."""
+        if wanted is None and os.environ.get('ROS_DOMAIN_ID'):
+            wanted = _number(os.environ['ROS_DOMAIN_ID'])
+        candidates = range(FIRST_DOMAIN, LAST_DOMAIN + 1) if wanted is None else (wanted,)
+        for number in candidates:
+            lock = _claim(number)
+            if lock is not None:
+                self.number = number
+                self._lock = lock
+                return
+        if wanted is not None:
+            raise UserError(
+                f'ROS domain {wanted} is in use by another twin; choose another with --domain, or '
+                'leave it out (and unset ROS_DOMAIN_ID) to get a free one'
+            )
+        raise UserError(
+            f'every ROS domain from {FIRST_DOMAIN} to {LAST_DOMAIN} is in use by another twin'
+        )
+
+    def release(self) -> None:
+        """Give the domain back."""
+        self._lock.close()
+
+
+def _claim(number: int) -> IO[str] | None:
+    path = Path(tempfile.gettempdir()) / f'waferbot-domain-{number}.lock'
+    try:
+        lock = path.open('a')
+    except PermissionError:
+        return None  # another user's twin
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        return None
+    return lock
+
+
+def _number(text: str) -> int:
+    try:
+        number = int(text)
+    except ValueError:
+        number = -1
+    if not 0 <= number <= 232:
+        raise UserError(f'ROS_DOMAIN_ID is {text!r}; it must be a whole number from 0 to 232')
+    return number

@@ -1,0 +1,393 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The closed loop in one process, compiled, without ROS.
+
+The functions, and the order in which they are called, are those of the nodes; only the messages are
+left out. Signals are therefore bit-identical to those of a run over ROS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import waferbot_msgs.msg
+from waferbot_copley import amplifier
+from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import (
+    ALL_AXES,
+    ALL_ENCODERS,
+    AMPLIFIER_STATE,
+    AXES,
+    CONTRACT_TOPICS,
+    CURRENT_COMMAND,
+    ENCODERS_TOPIC,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    SERVO_STATE,
+    SLOW_DIVIDER,
+)
+from waferbot_lockstep.standard_messages import (
+    CLOCK,
+    JOINT_STATES,
+    clock_message,
+    joint_state_message,
+)
+from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
+from waferbot_lockstep.wire import WireFormat
+from waferbot_plant import plant
+from waferbot_pmac import servo
+from waferbot_pmac.experiments import Experiment, commanded_positions
+from waferbot_pmac.i_variables import servo_parameters
+
+from waferbot_twin.models import Model
+from waferbot_twin.plan import Plan
+from waferbot_twin.recording.completeness import Account, close_complete
+from waferbot_twin.recording.writer import RecordingWriter
+
+CHUNK_TICKS = 9000
+"""Ticks between two looks at the clock and at Ctrl-C (0.5 s of sim time)."""
+
+Progress = Callable[[int, int], None]
+"""Called with the ticks done and the ticks to do."""
+
+
+@dataclass
+class Signals:
+    """
+    The signals of a stretch of ticks, one row per message of each topic, SI units or counts.
+
+    With n ticks: counts int64 (n_encoder, 4), line_current (n, 6), current_command (n_servo, 3),
+    voltage (n, 9), servo_state (n_servo, 15) in the order of the message's fields; amplifier_* have
+    one row per amplifier message; joint_* (n_slow, 3). All begin at tick `first`.
+    """
+
+    first: int
+    ticks: int
+    timing: Timing
+    counts: np.ndarray = field(init=False)
+    line_current: np.ndarray = field(init=False)
+    current_command: np.ndarray = field(init=False)
+    voltage: np.ndarray = field(init=False)
+    servo_state: np.ndarray = field(init=False)
+    amplifier_tick: np.ndarray = field(init=False)
+    amplifier_axes: np.ndarray = field(init=False)
+    amplifier_i2t: np.ndarray = field(init=False)
+    amplifier_bits: np.ndarray = field(init=False)
+    amplifier_messages: np.ndarray = field(init=False)
+    joint_position: np.ndarray = field(init=False)
+    joint_velocity: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Reserve the arrays."""
+        axes = len(AXES)
+        encoder_rows = len(self.encoder_ticks)
+        servo_rows = len(self.servo_ticks)
+        slow_rows = len(self.slow_ticks)
+        self.counts = np.zeros((encoder_rows, 4), np.int64)
+        self.line_current = np.zeros((self.ticks, 2 * axes))
+        self.current_command = np.zeros((servo_rows, axes))
+        self.voltage = np.zeros((self.ticks, 3 * axes))
+        self.servo_state = np.zeros((servo_rows, 5 * axes))
+        self.amplifier_tick = np.zeros(self.ticks, np.int64)
+        self.amplifier_axes = np.zeros(self.ticks, np.int64)
+        self.amplifier_i2t = np.zeros((self.ticks, 2, axes))
+        self.amplifier_bits = np.zeros((self.ticks, 2, axes), np.uint32)
+        self.amplifier_messages = np.zeros(1, np.int64)
+        self.joint_position = np.zeros((slow_rows, axes))
+        self.joint_velocity = np.zeros((slow_rows, axes))
+
+    def _ticks_of(self, divider: int) -> range:
+        start = -(-self.first // divider) * divider
+        return range(start, self.first + self.ticks, divider)
+
+    @property
+    def encoder_ticks(self) -> range:
+        """Ticks of the rows of `counts`."""
+        return self._ticks_of(self.timing.encoder_divider)
+
+    @property
+    def servo_ticks(self) -> range:
+        """Ticks of the rows of `current_command` and `servo_state`."""
+        return self._ticks_of(self.timing.servo_divider)
+
+    @property
+    def slow_ticks(self) -> range:
+        """Ticks of the rows of `joint_position`."""
+        return self._ticks_of(SLOW_DIVIDER)
+
+
+class Twin:
+    """
+    The closed loop of plant, PMAC and Copley, ready to run.
+
+    Its states are structured arrays of one element and belong to the caller as much as to the twin;
+    `advance` goes on from wherever it stands.
+    """
+
+    def __init__(self, model: Model, timing: Timing, experiment: Experiment) -> None:
+        """Build parameters and initial states; raises `UserError`."""
+        self.timing = timing
+        self.machine = plant.load_machine(
+            model.parameters['plant'].get('description', 'rigid'),
+            damping=model.parameters['plant'].get('damping', 'improved'),
+            timing=timing,
+        )
+        self.plant_parameters = self.machine.parameters()
+        self.plant_state = self.machine.initial_state(self.plant_parameters)
+        self.servo_parameters = servo_parameters(model.of_axes('pmac'), str(model.path))
+        self.servo_state = servo.initial_state(self.servo_parameters)
+        self.amplifier_parameters = amplifier_parameters(
+            model.of_axes('copley'), timing, str(model.path)
+        )
+        self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
+        self.commanded = commanded_positions(
+            experiment, self.servo_parameters, timing.servo_hz
+        )
+        self.tick = 0
+        self._start = np.zeros(len(AXES))
+        self._counts = np.zeros(4, np.int64)
+        self._current = np.zeros(len(AXES))
+
+    def advance(self, ticks: int) -> Signals:
+        """Run the next `ticks` ticks and return their signals."""
+        signals = Signals(self.tick, ticks, self.timing)
+        _advance(
+            self.tick,
+            ticks,
+            self.timing.encoder_divider,
+            self.timing.servo_divider,
+            self.plant_state,
+            self.plant_parameters,
+            self.servo_state,
+            self.servo_parameters,
+            self.amplifier_state,
+            self.amplifier_parameters,
+            self.commanded,
+            self._start,
+            self._counts,
+            self._current,
+            signals.counts,
+            signals.line_current,
+            signals.current_command,
+            signals.voltage,
+            signals.servo_state,
+            signals.amplifier_tick,
+            signals.amplifier_axes,
+            signals.amplifier_i2t,
+            signals.amplifier_bits,
+            signals.amplifier_messages,
+            signals.joint_position,
+            signals.joint_velocity,
+        )
+        self.tick += ticks
+        return signals
+
+
+def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> str:
+    """
+    Run a plan to its end, recording to `out` if given; return the recorder's closing line.
+
+    Raises `UserError` if the folder exists (unless `force`) or the plan is impossible.
+    """
+    twin = Twin(plan.model, plan.timing, plan.experiment)
+    if out is None:
+        for _ in _chunks(twin, plan.ticks, progress):
+            pass
+        return f'ran {plan.ticks} ticks, not recorded (no --out)'
+    with RecordingWriter(out, plan.attachments('inprocess'), force) as writer:
+        return record(writer, twin, plan, progress)
+
+
+def record(writer: RecordingWriter, twin: Twin, plan: Plan, progress: Progress) -> str:
+    """Run a twin and write its messages; return the closing line of the completeness check."""
+    recorder = SignalRecorder(writer, plan.timing)
+    for signals in _chunks(twin, plan.ticks, progress):
+        recorder.write(signals)
+    return recorder.close(plan.ticks)
+
+
+def _chunks(twin: Twin, ticks: int, progress: Progress):  # type: ignore[no-untyped-def]
+    while twin.tick < ticks:
+        yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+        progress(twin.tick, ticks)
+
+
+class SignalRecorder:
+    """Writes signals as the messages that the nodes would have sent."""
+
+    def __init__(self, writer: RecordingWriter, timing: Timing) -> None:
+        """Declare the topics."""
+        self._writer = writer
+        self._timing = timing
+        self._account = Account(timing)
+        self._wire = {}
+        for topic in CONTRACT_TOPICS:
+            writer.add_topic(f'/{topic.name}', topic.type_name)
+            self._wire[topic] = WireFormat(getattr(waferbot_msgs.msg, topic.message))
+        writer.add_topic(*CLOCK)
+        writer.add_topic(f'/{JOINT_STATES[0]}', JOINT_STATES[1])
+
+    def write(self, signals: Signals) -> None:
+        """Write a stretch of signals, in the order of time."""
+        messages: list[tuple[int, int, str, bytes]] = []
+        every = range(signals.first, signals.first + signals.ticks)
+        amplifier_rows = int(signals.amplifier_messages[0])
+        servo_values = np.split(signals.servo_state, 5, axis=1)
+        tables = (
+            (ENCODERS_TOPIC, signals.encoder_ticks, ALL_ENCODERS, (signals.counts,)),
+            (PHASE_CURRENTS, every, ALL_AXES, (signals.line_current,)),
+            (CURRENT_COMMAND, signals.servo_ticks, ALL_AXES, (signals.current_command,)),
+            (SERVO_STATE, signals.servo_ticks, ALL_AXES, servo_values),
+            (PHASE_VOLTAGES, every, ALL_AXES, (signals.voltage,)),
+            (
+                AMPLIFIER_STATE,
+                signals.amplifier_tick[:amplifier_rows],
+                signals.amplifier_axes[:amplifier_rows],
+                (
+                    signals.amplifier_i2t[:amplifier_rows, 0],
+                    signals.amplifier_i2t[:amplifier_rows, 1],
+                    signals.amplifier_bits[:amplifier_rows, 0],
+                    signals.amplifier_bits[:amplifier_rows, 1],
+                ),
+            ),
+        )
+        for order, (topic, ticks, valid, values) in enumerate(tables):
+            records = self._wire[topic].blank(len(ticks))
+            records['tick'] = ticks
+            stamps = [self._timing.stamp_ns(int(tick)) for tick in ticks]
+            records['stamp_sec'], records['stamp_nanosec'] = (
+                np.divmod(np.array(stamps, np.int64), NANOSECONDS_PER_SECOND)
+                if stamps
+                else (0, 0)
+            )
+            records['valid'] = valid
+            names = [name for name in records.dtype.names or () if records.dtype[name].shape]
+            for name, column in zip(names, values, strict=True):
+                records[name] = column
+            name = f'/{topic.name}'
+            for row, stamp in enumerate(stamps):
+                self._account.is_new(topic, int(records['tick'][row]), int(records['valid'][row]))
+                messages.append((stamp, order, name, records[row].tobytes()))
+        for row, tick in enumerate(signals.slow_ticks):
+            stamp = self._timing.stamp_ns(tick)
+            messages.append((stamp, -2, CLOCK[0], clock_message(stamp)))
+            joints = joint_state_message(
+                stamp,
+                AXES,
+                signals.joint_position[row].tolist(),
+                signals.joint_velocity[row].tolist(),
+            )
+            messages.append((stamp, -1, f'/{JOINT_STATES[0]}', joints))
+        messages.sort(key=lambda message: message[:2])
+        for stamp, _, name, data in messages:
+            self._writer.write(name, stamp, data)
+
+    def close(self, ticks: int) -> str:
+        """Close the recording; return the line that says whether it is complete."""
+        return close_complete(self._writer, self._account, ticks)
+
+
+@compiled
+def _advance(
+    first,
+    ticks,
+    encoder_divider,
+    servo_divider,
+    plant_state,
+    plant_parameters,
+    servo_state,
+    servo_parameters,
+    amplifier_state,
+    amplifier_parameters,
+    commanded,
+    start,
+    counts,
+    current,
+    counts_out,
+    line_current_out,
+    command_out,
+    voltage_out,
+    servo_out,
+    amplifier_tick,
+    amplifier_axes,
+    amplifier_i2t,
+    amplifier_bits,
+    amplifier_messages,
+    joint_position,
+    joint_velocity,
+):
+    """
+    Run the closed loop from tick `first` on, for `ticks` ticks, in the order of the contract.
+
+    Within a tick: plant measures; PMAC, on a servo tick; Copley; plant integrates. `start`, `counts`
+    and `current` carry over to the next call; the *_out and amplifier_* arrays are filled from row 0.
+    """
+    position_encoder = servo_parameters[0]['Ixx03']
+    target = np.empty(3)
+    limits = np.zeros(3, np.uint8)
+    faults = np.zeros(3, np.uint32)
+    encoder_row = 0
+    servo_row = 0
+    amplifier_row = 0
+    slow_row = 0
+    for row in range(ticks):
+        tick = first + row
+        line_current = line_current_out[row]
+        voltage = voltage_out[row]
+        plant.measure(plant_state, plant_parameters, tick, counts, line_current)
+        if tick % SLOW_DIVIDER == 0:
+            plant.joint_positions(
+                plant_state,
+                plant_parameters,
+                joint_position[slow_row],
+                joint_velocity[slow_row],
+            )
+            slow_row += 1
+        if tick % encoder_divider == 0:
+            counts_out[encoder_row] = counts
+            encoder_row += 1
+        if tick % servo_divider == 0:
+            cycle = tick // servo_divider
+            if cycle == 0:
+                for axis in range(3):
+                    start[axis] = counts[position_encoder[axis]]
+                servo.prime(servo_state, servo_parameters, counts, start)
+            place = min(cycle, commanded.shape[0] - 1)
+            for axis in range(3):
+                target[axis] = start[axis] + commanded[place, axis]
+            servo.step(servo_state, servo_parameters, counts, target, current)
+            s = servo_state[0]
+            for axis in range(3):
+                command_out[servo_row, axis] = current[axis]
+                servo_out[servo_row, axis] = s['commanded_position'][axis]
+                servo_out[servo_row, 3 + axis] = s['following_error'][axis]
+                servo_out[servo_row, 6 + axis] = s['output'][axis]
+                servo_out[servo_row, 9 + axis] = s['integrator'][axis]
+                servo_out[servo_row, 12 + axis] = s['flags'][axis]
+            servo_row += 1
+        amplifier.step(
+            amplifier_state, amplifier_parameters, 7, current, line_current, counts, voltage
+        )
+        axes = 7 if tick % SLOW_DIVIDER == 0 else amplifier.changed(amplifier_state)
+        if axes:
+            amplifier.report(
+                amplifier_state,
+                amplifier_parameters,
+                axes,
+                amplifier_i2t[amplifier_row, 0],
+                amplifier_i2t[amplifier_row, 1],
+                limits,
+                faults,
+            )
+            for axis in range(3):
+                amplifier_bits[amplifier_row, 0, axis] = limits[axis]
+                amplifier_bits[amplifier_row, 1, axis] = faults[axis]
+            amplifier_tick[amplifier_row] = tick
+            amplifier_axes[amplifier_row] = axes
+            amplifier_row += 1
+        plant.advance(plant_state, plant_parameters, voltage)
+    amplifier_messages[0] = amplifier_row

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Replay over ROS: a real node against a player that speaks for all its peers.
+
+The player knows nothing but the contract: it publishes the recorded messages of the other nodes and
+waits, tick by tick, for those of the node under test.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from typing import Any
+
+import numpy as np
+import rclpy
+import waferbot_msgs.msg
+from rclpy.signals import SignalHandlerOptions
+from waferbot_lockstep.contract import Topic
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.node import Interrupt, LockstepNode, make_executor
+from waferbot_lockstep.wire import WireFormat
+
+from waferbot_twin.engines.domain import Domain
+from waferbot_twin.engines.ros import (
+    END_TIMEOUT_S,
+    Progress,
+    RosOptions,
+    SeparateProcesses,
+    ros_environment,
+)
+from waferbot_twin.models import NODES
+from waferbot_twin.plan import Plan
+from waferbot_twin.recording.reader import Recording
+from waferbot_twin.replay import FIELDS, INPUTS, OUTPUTS, Difference, check_inputs, compare
+
+SPOKEN_FOR = {node: [topic for topic in INPUTS[node] if topic in FIELDS] for node in NODES}
+"""What the player publishes to each node; commanded positions are the PMAC's own experiment."""
+
+
+class Player(LockstepNode):
+    """Speaks for all peers of one node, out of a recording, and keeps what the node answers."""
+
+    def __init__(self, recording: Recording, node: str, ticks: int, **node_options: Any) -> None:
+        """Prepare to play `ticks` ticks to `node`."""
+        outputs = OUTPUTS[node]
+        super().__init__(
+            'replay',
+            {topic: topic.all_places for topic in outputs},
+            SPOKEN_FOR[node],
+            **node_options,
+        )
+        self.ticks = ticks
+        self._tick = 0
+        self._inputs = {
+            topic: (recording[topic][FIELDS[topic][0]].tolist(), topic.ticks_between(self.timing))
+            for topic in SPOKEN_FOR[node]
+        }
+        self.answers = {
+            topic: WireFormat(getattr(waferbot_msgs.msg, topic.message)).blank(
+                self.timing.messages(ticks, topic.ticks_between(self.timing))
+            )
+            for topic in outputs
+        }
+
+    @property
+    def tick(self) -> int:
+        """The tick that is being played."""
+        return self._tick
+
+    def begin(self) -> None:
+        """Send the inputs of tick 0."""
+        super().begin()
+        self._play()
+
+    def on_input(self, topic: Topic) -> None:
+        """Keep an answer; go on when all answers of this tick are there."""
+        while self._answered() and self.outcome is None:
+            for answer_topic, inbox in self.inboxes.items():
+                if inbox.due == self._tick:
+                    row = self._tick // inbox.spacing
+                    records = self.answers[answer_topic]
+                    records['tick'][row] = self._tick
+                    records[FIELDS[answer_topic][0]][row] = inbox.values
+                    inbox.consumed()
+            self._tick += 1
+            if self._tick >= self.ticks:
+                self.finish()
+            else:
+                self._play()
+
+    def _answered(self) -> bool:
+        return all(
+            inbox.complete for inbox in self.inboxes.values() if inbox.due == self._tick
+        )
+
+    def _play(self) -> None:
+        for topic, (rows, spacing) in self._inputs.items():
+            if self._tick % spacing == 0:
+                self.give(topic, self._tick, topic.all_places, rows[self._tick // spacing])
+
+
+def replay_over_ros(
+    recording: Recording, plan: Plan, node: str, progress: Progress
+) -> list[Difference]:
+    """
+    Start one node as a process, play a recording to it and compare its answers.
+
+    Raises `UserError` if an input was not recorded from tick 0 on, or the node stops with an error.
+    """
+    check_inputs(recording, node)
+    ticks = min(
+        len(recording[topic]) * topic.ticks_between(plan.timing) for topic in SPOKEN_FOR[node]
+    )
+    ticks = min(ticks, plan.ticks)
+    others = tuple(name for name in NODES if name != node)
+    options = RosOptions(without=others, overrides={'plant': {'start_paused': False}})
+    with contextlib.ExitStack() as stack:
+        domain = Domain()
+        stack.callback(domain.release)
+        stack.enter_context(ros_environment(domain.number, any_host=False))
+        interrupt = Interrupt()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        stack.callback(rclpy.try_shutdown)
+        player = Player(recording, node, ticks)
+        stack.callback(player.destroy_node)
+        process = SeparateProcesses(plan, options)
+        stack.callback(process.end)
+        executor = make_executor()
+        executor.add_node(player)
+        process.begin(executor)
+        player.begin()
+        gone_s: float | None = None
+        while player.outcome is None:
+            executor.spin_once(timeout_sec=0.1)
+            progress(player.tick, ticks)
+            if interrupt.raised:
+                raise KeyboardInterrupt
+            if process.failure():
+                gone_s = gone_s or time.monotonic()
+                if time.monotonic() > gone_s + END_TIMEOUT_S:
+                    raise UserError(process.failure())
+        executor.remove_node(player)
+        executor.shutdown(0.0)
+        if player.outcome:
+            raise UserError(player.outcome)
+    return [
+        difference
+        for topic in OUTPUTS[node]
+        for difference in compare(topic, _until(recording[topic], ticks), player.answers[topic])
+    ]
+
+
+def _until(array: np.ndarray, ticks: int) -> np.ndarray:
+    return array[array['tick'] < ticks]

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Models: which machine, with which controller and amplifier settings.
+
+A model is a ROS 2 parameter file with one section per node. It holds what differs from the settings
+that come with the packages (`waferbot_pmac/config/pmac.yaml`, `waferbot_copley/config/amplifiers.yaml`),
+so a node started by hand takes those first and the model second:
+
+    /**/plant:
+      ros__parameters: {description: rigid, damping: improved}
+    /**/pmac:
+      ros__parameters:
+        y_linear: {Ixx30: 2000}
+
+Names of shipped models are the file names in `share/waferbot_twin/config/models`.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from ament_index_python.packages import get_package_share_directory
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+
+from waferbot_twin.recording.reader import Recording
+
+NODES = ('plant', 'pmac', 'copley')
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model: its name, where it came from, and the parameters of each node."""
+
+    name: str
+    path: Path
+    parameters: dict[str, dict[str, Any]]
+
+    @property
+    def text(self) -> str:
+        """The whole model as one ROS 2 parameter file, with the settings of the packages in it."""
+        sections = {
+            f'/**/{node}': {'ros__parameters': parameters}
+            for node, parameters in self.parameters.items()
+        }
+        return yaml.safe_dump(sections, sort_keys=False)
+
+    def of_axes(self, node: str) -> dict[str, dict[str, Any]]:
+        """Return the settings per axis of a node, without those that are not an axis'."""
+        return {axis: self.parameters[node].get(axis, {}) for axis in AXES}
+
+
+def models_folder() -> Path:
+    """Return the folder of the shipped models."""
+    return Path(get_package_share_directory('waferbot_twin')) / 'config' / 'models'
+
+
+def model_names() -> list[str]:
+    """Return the names of the shipped models."""
+    return sorted(path.stem for path in models_folder().glob('*.yaml'))
+
+
+def load_model(name_or_path: str) -> Model:
+    """
+    Return a shipped model by name, or a model from a file.
+
+    Raises `UserError` for an unknown name, and for a file that is no ROS 2 parameter file for the
+    nodes `plant`, `pmac` and `copley`; the parameters themselves are checked by what uses them.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in ('.yaml', '.yml') and not path.exists():
+        path = models_folder() / f'{name_or_path}.yaml'
+        if not path.exists():
+            names = model_names()
+            raise UserError(
+                f'there is no model {name_or_path!r}{did_you_mean(name_or_path, names)} '
+                f'(shipped: {", ".join(names)}; or give a YAML file)'
+            )
+    parameters: dict[str, dict[str, Any]] = {node: {} for node in NODES}
+    for file in (*base_files(), path):
+        for node, section in _read_sections(file).items():
+            _lay_over(parameters[node], section)
+    return Model(path.stem, path, parameters)
+
+
+def recorded_model(recording: Recording) -> Model:
+    """Return the model that a recording was made with; raises `UserError` if it does not say."""
+    text = recording.attachments.get('model.yaml')
+    if text is None:
+        raise UserError(f'{recording.path} does not hold its model; give --model')
+    where = recording.path / 'model.yaml'
+    sections = _sections(yaml.safe_load(text), where)
+    parameters = {node: sections.get(node, {}) for node in NODES}
+    return Model(str(recording.run.get('model', 'recorded')), where, parameters)
+
+
+def base_files() -> tuple[Path, ...]:
+    """Return the parameter files that every model begins with."""
+    return (
+        Path(get_package_share_directory('waferbot_pmac')) / 'config' / 'pmac.yaml',
+        Path(get_package_share_directory('waferbot_copley')) / 'config' / 'amplifiers.yaml',
+    )
+
+
+def _read_sections(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in a ROS 2 parameter file."""
+    try:
+        content = yaml.safe_load(path.read_text('utf-8'))
+    except OSError as error:
+        raise UserError(f'{path}: {error.strerror}') from error
+    except yaml.YAMLError as error:
+        raise UserError(f'{path}: no valid YAML: {" ".join(str(error).split())}') from error
+    return _sections(content, path)
+
+
+def _sections(content: Any, path: Path) -> dict[str, dict[str, Any]]:
+    if not isinstance(content, dict):
+        raise UserError(f'{path}: a model is a ROS 2 parameter file with sections per node')
+    sections: dict[str, dict[str, Any]] = {}
+    for key, section in content.items():
+        node = str(key).rsplit('/', 1)[-1]
+        if node not in NODES:
+            raise UserError(
+                f'{path}: section {key!r} is for no node of the twin (nodes: {", ".join(NODES)})'
+            )
+        if not isinstance(section, dict) or set(section) != {'ros__parameters'}:
+            raise UserError(f'{path}: section {key!r} must have the one key ros__parameters')
+        _lay_over(sections.setdefault(node, {}), section['ros__parameters'] or {})
+    return sections
+
+
+def _lay_over(below: dict[str, Any], above: Mapping[str, Any]) -> None:
+    """Put the values of `above` into `below`, mapping by mapping, as ROS does with several files."""
+    for key, value in above.items():
+        if isinstance(value, dict) and isinstance(below.get(key), dict):
+            _lay_over(below[key], value)
+        else:
+            below[key] = copy.deepcopy(value)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to run: a model, an experiment and how long; and the texts that tell of it in the recording."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import Experiment, load_experiment
+
+from waferbot_twin.models import Model, load_model
+from waferbot_twin.recording.writer import as_json
+
+VERSIONED = ('numpy', 'scipy', 'numba', 'mcap', 'ros-jazzy-rclpy', 'ros-jazzy-rmw-fastrtps-cpp')
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run of the twin, before it is run; every engine makes the same of it."""
+
+    model: Model
+    experiment: Experiment
+    ticks: int
+    timing: Timing
+    seed: int = 0
+
+    def attachments(self, engine: str) -> dict[str, str]:
+        """Return the texts that go into the recording: everything that the run was made from."""
+        run = {
+            'engine': engine,
+            'model': self.model.name,
+            'experiment': self.experiment.name,
+            'ticks': self.ticks,
+            'seed': self.seed,
+            'timing': dataclasses.asdict(self.timing),
+            'versions': versions(),
+        }
+        return {
+            'run.json': as_json(run),
+            'model.yaml': self.model.text,
+            'experiment.yaml': self.experiment.text,
+        }
+
+
+def make_plan(model: str, experiment: str, duration_s: float | None = None, seed: int = 0) -> Plan:
+    """Return the plan for a model and an experiment, by name or file; raises `UserError`."""
+    timing = Timing()
+    loaded = load_experiment(experiment)
+    seconds = loaded.duration_s if duration_s is None else duration_s
+    return Plan(load_model(model), loaded, max(1, timing.ticks(seconds)), timing, seed)
+
+
+def versions() -> dict[str, Any]:
+    """Return the versions that a result can depend on; `git` is None outside a checkout."""
+    found: dict[str, Any] = {'python': sys.version.split()[0], 'machine': platform.machine()}
+    for name in VERSIONED:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    found['git'] = _git_revision()
+    return found
+
+
+def _git_revision() -> str | None:
+    folder = Path(__file__).resolve().parent
+    try:
+        described = subprocess.run(
+            ['git', '-C', str(folder), 'describe', '--always', '--dirty', '--abbrev=12'],
+            capture_output=True,
+            text=True,
+            timeout=5,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return described.stdout.strip()

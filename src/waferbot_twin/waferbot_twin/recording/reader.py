@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Reads a recording back into arrays, whole or cut off.
+
+The contract's messages become one structured array per topic with one element per tick: messages
+that spoke for some of the axes only (several Copley nodes on one topic) are merged. `valid` then
+tells which places were given at that tick.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import waferbot_msgs.msg
+import yaml
+import zstandard
+from mcap.exceptions import InvalidMagic, McapError
+from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.wire import WireFormat
+
+from waferbot_twin.recording.definitions import type_hash
+
+
+@dataclass
+class Recording:
+    """
+    What a recording holds.
+
+    `topics` maps the name of each contract topic (without namespace) to a structured array, one
+    element per tick, ascending, with the fields of the message. `counts` has the number of messages
+    of every topic in the file by its full name. `closed` is False for a recording that was cut off.
+    `attachments` are the texts that the run was made from, by name.
+    """
+
+    path: Path
+    topics: dict[str, np.ndarray]
+    counts: dict[str, int]
+    types: dict[str, str]
+    closed: bool
+    attachments: dict[str, str] = field(default_factory=dict)
+    summary: dict[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, topic: Topic | str) -> np.ndarray:
+        """Return the array of a contract topic; raises `UserError` if it was not recorded."""
+        name = topic if isinstance(topic, str) else topic.name
+        if name not in self.topics:
+            raise UserError(f'{self.path}: topic {name} was not recorded')
+        return self.topics[name]
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """What `run.json` says of how the recording was made; empty if it has none."""
+        return json.loads(self.attachments.get('run.json', '{}'))
+
+    @property
+    def timing(self) -> Timing:
+        """The rates that the recording was made with (the defaults if it does not say)."""
+        return Timing(**self.run.get('timing', {}))
+
+    @property
+    def ticks(self) -> int:
+        """Number of ticks from the first to the last, as far as any lock-step topic goes."""
+        last = [int(array['tick'][-1]) for array in self.topics.values() if len(array)]
+        return max(last) + 1 if last else 0
+
+
+def recording_file(path: Path) -> Path:
+    """Return the `.mcap` file of a recording given as folder or file; raises `UserError`."""
+    if not path.exists():
+        raise UserError(f'{path} does not exist')
+    if path.is_file():
+        if path.suffix != '.mcap':
+            raise UserError(f'{path} is no .mcap file; give a recording folder')
+        return path
+    metadata = path / 'metadata.yaml'
+    names: list[str] = []
+    if metadata.exists():
+        try:
+            content = yaml.safe_load(metadata.read_text('utf-8'))
+            names = content['rosbag2_bagfile_information']['relative_file_paths']
+        except (yaml.YAMLError, KeyError, TypeError) as error:
+            raise UserError(f'{metadata}: not a rosbag2 metadata file ({error!r})') from error
+    files = [path / name for name in names] or sorted(path.glob('*.mcap'))
+    if not files:
+        raise UserError(f'{path} holds no recording (no metadata.yaml, no .mcap file)')
+    if len(files) > 1:
+        raise UserError(f'{path} is split into {len(files)} files; merge it with `ros2 bag convert`')
+    if not files[0].exists():
+        raise UserError(f'{files[0]} is named in {metadata} but does not exist')
+    return files[0]
+
+
+def read_recording(path: Path | str) -> Recording:
+    """
+    Read a recording whole; a cut-off file is read as far as it goes.
+
+    Raises `UserError` if there is none, if the file is no MCAP, or if a contract topic has another
+    definition than the installed messages (type hash).
+    """
+    file = recording_file(Path(path))
+    content = _read_file(file)
+    messages, types = content.messages, content.types
+    topics = {}
+    for name, data in messages.items():
+        topic = _contract_topic(name, types[name])
+        if topic is None:
+            continue
+        recorded_hash = content.hashes[name]
+        if recorded_hash and recorded_hash != type_hash(topic.type_name):
+            raise UserError(
+                f'{file}: topic {name} was recorded with another definition of {topic.type_name}; '
+                'read it with the waferbot version that made it'
+            )
+        wire = WireFormat(getattr(waferbot_msgs.msg, topic.message))
+        topics[topic.name] = merge_by_tick(wire.records(data), topic)
+    return Recording(
+        Path(path),
+        topics,
+        {name: len(data) for name, data in messages.items()},
+        types,
+        content.closed,
+        content.attachments,
+        content.summary,
+    )
+
+
+def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
+    """Return one element per tick, ascending, from messages that may speak for some places each."""
+    ticks, row = np.unique(records['tick'], return_inverse=True)
+    if len(ticks) == len(records) and np.all(np.diff(records['tick'].astype(np.int64)) > 0):
+        return records
+    merged = np.zeros(len(ticks), records.dtype)
+    for name in ('encapsulation', 'stamp_sec', 'stamp_nanosec', 'frame_id_length', 'tick'):
+        merged[name][row] = records[name]
+    places = len(topic.places)
+    fields = [name for name in records.dtype.names if records.dtype[name].shape]
+    for place in range(places):
+        given = (records['valid'] >> place & 1).astype(bool)
+        merged['valid'][row[given]] |= 1 << place
+        for name in fields:
+            width = records.dtype[name].shape[0] // places
+            columns = slice(place * width, (place + 1) * width)
+            merged[name][row[given], columns] = records[name][given, columns]
+    return merged
+
+
+def _contract_topic(name: str, type_name: str) -> Topic | None:
+    """Return the contract topic that a recorded topic is, in whatever namespace."""
+    for topic in CONTRACT_TOPICS:
+        if type_name == topic.type_name and name.rsplit('/', 1)[-1] == topic.name:
+            return topic
+    return None
+
+
+@dataclass
+class _Content:
+    """What one pass through an MCAP file brought."""
+
+    messages: dict[str, list[bytes]] = field(default_factory=dict)
+    types: dict[str, str] = field(default_factory=dict)
+    hashes: dict[str, str] = field(default_factory=dict)
+    attachments: dict[str, str] = field(default_factory=dict)
+    summary: dict[str, str] = field(default_factory=dict)
+    closed: bool = False
+
+
+def _read_file(file: Path) -> _Content:
+    """Read record by record, from the start, as far as the file goes."""
+    content = _Content()
+    schemas: dict[int, str] = {}
+    channels: dict[int, list[bytes]] = {}
+    with file.open('rb') as stream:
+        try:
+            for record in StreamReader(stream).records:
+                if isinstance(record, Message):
+                    channels[record.channel_id].append(record.data)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record.name
+                elif isinstance(record, Channel) and record.id not in channels:
+                    channels[record.id] = content.messages.setdefault(record.topic, [])
+                    content.types[record.topic] = schemas.get(record.schema_id, '')
+                    content.hashes[record.topic] = record.metadata.get('topic_type_hash', '')
+                elif isinstance(record, Attachment):
+                    content.attachments[record.name] = record.data.decode('utf-8', 'replace')
+                elif isinstance(record, Metadata) and record.name == 'waferbot':
+                    content.summary = dict(record.metadata)
+                elif isinstance(record, Footer):
+                    content.closed = True
+        except InvalidMagic as error:
+            if not channels:
+                raise UserError(f'{file} is no MCAP file') from error
+        except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError) as error:
+            if not any(channels.values()):
+                raise UserError(f'{file} holds no readable message ({error!r})') from error
+    return content

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The recorder: a node that listens to the twin and writes every message as it came over the wire.
+
+It takes the messages as bytes and never turns them into objects. Nobody waits for it, so its
+histories are deep; that nothing was lost is not assumed but counted, tick by tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import waferbot_msgs.msg
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from waferbot_lockstep.contract import CONTRACT_TOPICS, STOP_TOPIC, Topic
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.node import lockstep_qos
+from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES, stamp_of
+from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.wire import WireFormat
+
+from waferbot_twin.recording.completeness import Account
+from waferbot_twin.recording.writer import RecordingWriter
+
+HISTORY_DEPTH = 20000
+"""Messages that may wait for the recorder: the fastest topic for more than a second."""
+
+
+class Recorder(Node):
+    """
+    Records a twin.
+
+    `account` knows what has been recorded; `tick` is the newest tick seen; `stop_reason` is what a
+    node that left the lock-step said.
+    """
+
+    def __init__(self, writer: RecordingWriter | None, timing: Timing) -> None:
+        """Subscribe to everything; with no writer, only keep account."""
+        super().__init__('recorder')
+        self.account = Account(timing)
+        self.tick = -1
+        self.stop_reason = ''
+        self.failure = ''
+        self._writer = writer
+        self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
+        for topic in CONTRACT_TOPICS:
+            message_type = getattr(waferbot_msgs.msg, topic.message)
+            self._record(
+                topic.name,
+                topic.type_name,
+                message_type,
+                self._contract_callback(topic, WireFormat(message_type)),
+            )
+        for (name, type_name), message_type in ((CLOCK, Clock), (JOINT_STATES, JointState)):
+            self._record(name, type_name, message_type, self._standard_callback(name))
+        self.create_subscription(
+            waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
+        )
+
+    @property
+    def begun(self) -> bool:
+        """Whether every topic has been heard for every axis, so that nothing will be missed."""
+        return self.account.begun() and min(self._standard_stamps.values()) >= 0
+
+    def _record(
+        self, name: str, type_name: str, message_type: Any, callback: Callable[[bytes], None]
+    ) -> None:
+        if self._writer is not None:
+            self._writer.add_topic(self.resolve_topic_name(name), type_name)
+        self.create_subscription(
+            message_type, name, callback, lockstep_qos(HISTORY_DEPTH), raw=True
+        )
+
+    def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
+        name = self.resolve_topic_name(topic.name)
+        account, writer = self.account, self._writer
+
+        def on_message(data: bytes) -> None:
+            try:
+                tick, stamp_ns, valid, _ = wire.decode(data)
+            except UserError as error:
+                self.failure = f'topic {topic.name}: {error}'
+                return
+            if account.is_new(topic, tick, valid):
+                if tick > self.tick:
+                    self.tick = tick
+                if writer is not None:
+                    writer.write(name, stamp_ns, wire.normalised(data))
+
+        return on_message
+
+    def _standard_callback(self, short_name: str) -> Callable[[bytes], None]:
+        name = self.resolve_topic_name(short_name)
+        stamps, writer = self._standard_stamps, self._writer
+
+        def on_message(data: bytes) -> None:
+            stamp_ns = stamp_of(data)
+            if stamp_ns > stamps[short_name]:
+                stamps[short_name] = stamp_ns
+                if writer is not None:
+                    writer.write(name, stamp_ns, data)
+
+        return on_message
+
+    def _on_stop(self, stop: Any) -> None:
+        if not self.stop_reason:
+            self.stop_reason = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'

@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Writes a recording: a folder with `metadata.yaml` and one `.mcap`, as `ros2 bag` does.
+
+Messages go to the file in chunks of a quarter of a megabyte, which are flushed as they are made, so
+that a run that is killed loses only its last moments. What the run was made from (model, experiment, parameters, seed,
+versions) is attached at the beginning, before the first message.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import yaml
+from mcap.writer import CompressionType, Writer
+from waferbot_lockstep.contract import HISTORY_DEPTH
+from waferbot_lockstep.errors import UserError
+
+from waferbot_twin.recording.definitions import full_text, type_hash
+
+CHUNK_BYTES = 1 << 18
+FLUSH_MESSAGES = 1000
+_FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+def prepare_folder(path: Path, force: bool) -> None:
+    """Make room for a recording at `path`; refuse to overwrite anything unless `force`."""
+    if path.exists():
+        if not force:
+            raise UserError(f'{path} exists already; choose another --out, or say --force')
+        if not (path / 'metadata.yaml').exists() and any(path.iterdir() if path.is_dir() else [1]):
+            raise UserError(f'{path} is no recording; --force only replaces recordings')
+        shutil.rmtree(path)
+    path.mkdir(parents=True)
+
+
+class RecordingWriter:
+    """
+    An open recording; use it in a `with` statement.
+
+    On an ordinary end the file gets its index and the folder its final `metadata.yaml`. After an
+    exception the file is closed all the same, so what was recorded up to there can be read.
+    """
+
+    def __init__(self, path: Path, attachments: Mapping[str, str], force: bool = False) -> None:
+        """Create the folder and the file; raises `UserError` if the folder exists."""
+        prepare_folder(path, force)
+        self.path = path
+        self.message_count = 0
+        self._first_ns = 2**63 - 1
+        self._last_ns = 0
+        self._topics: dict[str, dict[str, Any]] = {}
+        self._channels: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
+        self._file_name = f'{path.name}_0.mcap'
+        self._file = (path / self._file_name).open('xb')
+        self._writer = Writer(
+            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+        )
+        self._writer.start('ros2', 'waferbot')
+        for name, text in attachments.items():
+            media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
+            self._writer.add_attachment(0, 0, name, media_type, text.encode())
+        self._write_metadata()
+
+    def add_topic(self, name: str, type_name: str) -> None:
+        """Declare a topic before its first message; `name` is fully qualified."""
+        qos = [_qos_profile(HISTORY_DEPTH)]
+        definition = full_text(type_name)
+        digest = type_hash(type_name)
+        schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
+        self._channels[name] = self._writer.register_channel(
+            name,
+            'cdr',
+            schema,
+            {
+                'offered_qos_profiles': yaml.safe_dump(qos, sort_keys=False),
+                'topic_type_hash': digest,
+            },
+        )
+        self._counts[name] = 0
+        self._topics[name] = {
+            'name': name,
+            'type': type_name,
+            'serialization_format': 'cdr',
+            'offered_qos_profiles': qos,
+            'type_description_hash': digest,
+        }
+
+    def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Append one message, in CDR, at a sim time; messages of one topic come in order."""
+        count = self._counts[topic]
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
+        self._counts[topic] = count + 1
+        self.message_count += 1
+        if self.message_count % FLUSH_MESSAGES == 0:
+            self._file.flush()
+        self._first_ns = min(self._first_ns, stamp_ns)
+        self._last_ns = max(self._last_ns, stamp_ns)
+
+    def close(self, summary: Mapping[str, str]) -> None:
+        """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
+        if self._file.closed:
+            return
+        self._writer.add_metadata('waferbot', dict(summary))
+        self._writer.add_metadata(
+            'rosbag2', {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)}
+        )
+        self._writer.finish()
+        self._file.close()
+        self._write_metadata()
+
+    def __enter__(self) -> RecordingWriter:
+        """Return the open recording."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Close the file, whatever happened."""
+        self.close({'complete': 'false', 'reason': str(error) if error else 'not verified'})
+
+    def _information(self) -> dict[str, Any]:
+        start = self._first_ns if self.message_count else 0
+        span = {
+            'starting_time': {'nanoseconds_since_epoch': start},
+            'duration': {'nanoseconds': max(0, self._last_ns - start)},
+            'message_count': self.message_count,
+        }
+        return {
+            'version': 9,
+            'storage_identifier': 'mcap',
+            **span,
+            'topics_with_message_count': [
+                {'topic_metadata': topic, 'message_count': self._counts[name]}
+                for name, topic in self._topics.items()
+            ],
+            'compression_format': '',
+            'compression_mode': '',
+            'relative_file_paths': [self._file_name],
+            'files': [{'path': self._file_name, **span}],
+            'custom_data': {},
+            'ros_distro': 'jazzy',
+        }
+
+    def _write_metadata(self) -> None:
+        """Replace `metadata.yaml` in one step, so that it is never half written."""
+        text = yaml.safe_dump(
+            {'rosbag2_bagfile_information': self._information()}, sort_keys=False
+        )
+        temporary = self.path / 'metadata.yaml.new'
+        temporary.write_text(text, 'utf-8')
+        temporary.replace(self.path / 'metadata.yaml')
+
+
+def as_json(value: Any) -> str:
+    """Return a value as the text of an attachment."""
+    return json.dumps(value, indent=2, sort_keys=True) + '\n'
+
+
+def _qos_profile(depth: int) -> dict[str, Any]:
+    """Return the contract's quality of service in rosbag2's form: reliable, volatile, keep last."""
+    return {
+        'history': 'keep_last',
+        'depth': depth,
+        'reliability': 'reliable',
+        'durability': 'volatile',
+        'deadline': dict(_FOREVER),
+        'lifespan': dict(_FOREVER),
+        'liveliness': 'automatic',
+        'liveliness_lease_duration': dict(_FOREVER),
+        'avoid_ros_namespace_conventions': False,
+    }

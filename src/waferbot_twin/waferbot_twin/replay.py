@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Replay: one block alone against the recorded signals of the others.
+
+The block gets the inputs that it got in the recording, tick by tick, and its own output is compared
+with the recorded one. For a run of the same model the difference is exactly zero; for a measured log
+the block whose output disagrees is where the simulation is wrong.
+
+    plant    voltages                        -> counts, line currents
+    pmac     counts, commanded positions     -> current commands
+    copley   commands, line currents, counts -> voltages
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from waferbot_copley import amplifier
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import (
+    CURRENT_COMMAND,
+    ENCODERS_TOPIC,
+    PHASE_CURRENTS,
+    PHASE_VOLTAGES,
+    SERVO_STATE,
+    Topic,
+)
+from waferbot_lockstep.errors import UserError
+from waferbot_plant import plant
+from waferbot_pmac import servo
+from waferbot_pmac.experiments import load_experiment
+
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.metrics import rms
+from waferbot_twin.models import Model
+from waferbot_twin.recording.reader import Recording
+
+INPUTS: dict[str, tuple[Topic, ...]] = {
+    'plant': (PHASE_VOLTAGES,),
+    'pmac': (ENCODERS_TOPIC, SERVO_STATE),
+    'copley': (CURRENT_COMMAND, PHASE_CURRENTS, ENCODERS_TOPIC),
+}
+OUTPUTS: dict[str, tuple[Topic, ...]] = {
+    'plant': (ENCODERS_TOPIC, PHASE_CURRENTS),
+    'pmac': (CURRENT_COMMAND,),
+    'copley': (PHASE_VOLTAGES,),
+}
+FIELDS = {
+    ENCODERS_TOPIC: ('counts', 'counts'),
+    PHASE_CURRENTS: ('current', 'A'),
+    CURRENT_COMMAND: ('current', 'A'),
+    PHASE_VOLTAGES: ('voltage', 'V'),
+}
+"""Field of each output topic, and its unit."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """
+    How far a replayed output is from the recorded one, for one place (axis or encoder).
+
+    `rms` and `largest` are of replayed minus recorded, in `unit`; `rms_recorded` is that of the
+    recorded signal itself; `first_tick` is where they first differ, None if nowhere.
+    """
+
+    topic: str
+    place: str
+    unit: str
+    rms: float
+    largest: float
+    rms_recorded: float
+    first_tick: int | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the difference as plain values."""
+        return asdict(self)
+
+
+def compare(topic: Topic, recorded: np.ndarray, replayed: np.ndarray) -> list[Difference]:
+    """
+    Compare two structured arrays of one topic, tick by tick, place by place.
+
+    Only ticks that both have are compared; raises `UserError` if there is none.
+    """
+    name, unit = FIELDS[topic]
+    ticks, mine, theirs = np.intersect1d(
+        replayed['tick'], recorded['tick'], return_indices=True, assume_unique=True
+    )
+    if len(ticks) == 0:
+        raise UserError(f'topic {topic.name}: recorded and replayed ticks have nothing in common')
+    differences = []
+    for place, place_name in enumerate(topic.places):
+        columns = slice(place * topic.width, (place + 1) * topic.width)
+        one = replayed[name][mine][:, columns].astype(np.float64)
+        other = recorded[name][theirs][:, columns].astype(np.float64)
+        error = one - other
+        wrong = np.flatnonzero(np.any(error != 0.0, axis=1))
+        differences.append(
+            Difference(
+                topic.name,
+                place_name,
+                unit,
+                rms(error.ravel()),
+                float(np.max(np.abs(error))),
+                rms(other.ravel()),
+                int(ticks[wrong[0]]) if len(wrong) else None,
+            )
+        )
+    return differences
+
+
+def replay_in_process(recording: Recording, model: Model, node: str) -> list[Difference]:
+    """Replay one block with compiled functions; raises `UserError` if an input was not recorded."""
+    replayed = replayed_outputs(recording, model, node)
+    return [
+        difference
+        for topic in OUTPUTS[node]
+        for difference in compare(topic, recording[topic], replayed[topic])
+    ]
+
+
+def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topic, np.ndarray]:
+    """Return what the block puts out for the recorded inputs, as arrays like the recorded ones."""
+    timing = recording.timing
+    check_inputs(recording, node)
+    twin = Twin(model, timing, load_experiment('constant'))
+    outputs = {topic: recording[topic].copy() for topic in OUTPUTS[node]}
+    if node == 'plant':
+        voltages = np.ascontiguousarray(recording[PHASE_VOLTAGES]['voltage'])
+        ticks = len(voltages)
+        counts = np.zeros((timing.messages(ticks, timing.encoder_divider), 4), np.int64)
+        currents = np.zeros((ticks, 6))
+        _replay_plant(
+            twin.plant_state,
+            twin.plant_parameters,
+            voltages,
+            timing.encoder_divider,
+            counts,
+            currents,
+        )
+        outputs[ENCODERS_TOPIC] = _first(recording[ENCODERS_TOPIC], len(counts))
+        outputs[PHASE_CURRENTS] = _first(recording[PHASE_CURRENTS], ticks)
+        outputs[ENCODERS_TOPIC]['counts'] = counts[: len(outputs[ENCODERS_TOPIC])]
+        outputs[PHASE_CURRENTS]['current'] = currents[: len(outputs[PHASE_CURRENTS])]
+    elif node == 'pmac':
+        encoders, state = recording[ENCODERS_TOPIC], recording[SERVO_STATE]
+        rows = np.searchsorted(encoders['tick'], state['tick'])
+        counts = np.ascontiguousarray(encoders['counts'][rows])
+        commanded = np.ascontiguousarray(state['commanded_position'])
+        currents = np.zeros((len(counts), 3))
+        _replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, currents)
+        outputs[CURRENT_COMMAND] = _first(recording[CURRENT_COMMAND], len(currents))
+        outputs[CURRENT_COMMAND]['current'] = currents[: len(outputs[CURRENT_COMMAND])]
+    else:
+        currents = recording[PHASE_CURRENTS]
+        voltages = np.zeros((len(currents), 9))
+        _replay_amplifier(
+            twin.amplifier_state,
+            twin.amplifier_parameters,
+            np.ascontiguousarray(_held(recording[CURRENT_COMMAND], 'current', currents['tick'])),
+            np.ascontiguousarray(currents['current']),
+            np.ascontiguousarray(_held(recording[ENCODERS_TOPIC], 'counts', currents['tick'])),
+            voltages,
+        )
+        outputs[PHASE_VOLTAGES] = _first(recording[PHASE_VOLTAGES], len(voltages))
+        outputs[PHASE_VOLTAGES]['voltage'] = voltages[: len(outputs[PHASE_VOLTAGES])]
+    return outputs
+
+
+def check_inputs(recording: Recording, node: str) -> None:
+    """
+    Make sure that all inputs of a node were recorded from tick 0 on, without a gap.
+
+    A replay begins from rest, so a recording without a beginning cannot be replayed; raises
+    `UserError` that names the topic.
+    """
+    for topic in INPUTS[node]:
+        array = recording[topic]
+        spacing = topic.ticks_between(recording.timing)
+        if len(array) == 0 or array['tick'][0] != 0:
+            raise UserError(f'{recording.path}: topic {topic.name} does not begin at tick 0')
+        gaps = np.flatnonzero(np.diff(array['tick'].astype(np.int64)) != spacing)
+        if len(gaps):
+            raise UserError(
+                f'{recording.path}: topic {topic.name} has a gap behind tick '
+                f'{int(array["tick"][gaps[0]])}; a replay needs every tick'
+            )
+
+
+def _first(array: np.ndarray, rows: int) -> np.ndarray:
+    return array[:rows].copy()
+
+
+def _held(array: np.ndarray, name: str, ticks: np.ndarray) -> np.ndarray:
+    """Return the newest values at each tick, held between messages."""
+    rows = np.searchsorted(array['tick'], ticks, side='right') - 1
+    return np.asarray(array[name][rows])
+
+
+@compiled
+def _replay_plant(state, parameters, voltages, encoder_divider, counts_out, current_out):
+    """Drive the plant by voltages (n, 9); fill counts and line currents (n, 6) as measured."""
+    counts = np.zeros(4, np.int64)
+    for tick in range(voltages.shape[0]):
+        plant.measure(state, parameters, tick, counts, current_out[tick])
+        if tick % encoder_divider == 0:
+            counts_out[tick // encoder_divider] = counts
+        plant.advance(state, parameters, voltages[tick])
+
+
+@compiled
+def _replay_servo(state, parameters, counts, commanded, current_out):
+    """Drive the servo by counts (n, 4) and commanded positions (n, 3); fill commands (n, 3)."""
+    servo.prime(state, parameters, counts[0], commanded[0])
+    for cycle in range(counts.shape[0]):
+        servo.step(state, parameters, counts[cycle], commanded[cycle], current_out[cycle])
+
+
+@compiled
+def _replay_amplifier(state, parameters, command, line_current, counts, voltage_out):
+    """Drive the amplifiers by commands (n, 3), line currents (n, 6), counts (n, 4)."""
+    for tick in range(line_current.shape[0]):
+        amplifier.step(
+            state, parameters, 7, command[tick], line_current[tick], counts[tick], voltage_out[tick]
+        )
