@@ -57,6 +57,7 @@ __all__ = [
     'AMPLIFIER_STATE',
     'changed',
     'initial_state',
+    'open_bridges',
     'report',
     'reset_faults',
     'step',
@@ -318,6 +319,20 @@ def changed(state):
         ):
             axes |= 1 << axis
     return axes
+
+
+@compiled
+def open_bridges(state):
+    """
+    Return the mask of the axes whose bridge is off (fault, safe torque off).
+
+    The terminals of such a motor float; the zeros that `step` puts out for it are no voltages.
+    """
+    mask = 0
+    for axis in range(3):
+        if state[0]['faults'][axis] & fault.DISABLING:
+            mask |= 1 << axis
+    return mask
 
 
 @compiled

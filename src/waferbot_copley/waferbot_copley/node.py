@@ -103,7 +103,8 @@ class CopleyNode(LockstepNode):
                     inbox.consumed()
         tick = self._tick
         self._tick += 1
-        self.give(PHASE_VOLTAGES, tick, self._axes, self._voltage.tolist())
+        open_bridges = amplifier.open_bridges(self._model_state) & self._axes
+        self.give(PHASE_VOLTAGES, tick, self._axes, [*self._voltage.tolist(), open_bridges])
         axes = self._axes if tick % SLOW_DIVIDER == 0 else amplifier.changed(self._model_state)
         if axes:
             self._report(tick, axes)
@@ -172,6 +173,7 @@ class CopleyNode(LockstepNode):
             for topic in (CURRENT_COMMAND, PHASE_CURRENTS, ENCODERS_TOPIC)
         ]
         amplifier.step(state, self._model_parameters, self._axes, *inputs, self._voltage.copy())
+        amplifier.open_bridges(state)
         amplifier.changed(state)
         amplifier.report(
             state,

@@ -20,6 +20,7 @@ def test_whole_number_is_taken_for_a_real_one():
         (GAIN, 2.5, 'whole number'),
         (GAIN, True, 'whole number'),
         (GAIN, '5', 'whole number'),
+        (GAIN, float('inf'), '0 to 32767 DAC bits'),
         (TIME, -0.1, '0 to 10 s'),
         (TIME, float('nan'), '0 to 10 s'),
         (TIME, None, 'a number'),

@@ -36,6 +36,7 @@ class Topic:
 
     `places` names what the bits of `valid` stand for, `width` is the number of values for each
     place. `divider` is the name of the `Timing` field that gives the rate, or '' for every tick.
+    `mask` is the name of a field behind the values that holds one bit for each place, or ''.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Topic:
     places: tuple[str, ...]
     width: int
     divider: str = ''
+    mask: str = ''
 
     def ticks_between(self, timing: Timing) -> int:
         """Return the number of ticks from one message to the next."""
@@ -67,7 +69,7 @@ class Topic:
 ENCODERS_TOPIC = Topic('encoders', 'Encoders', 'plant', ENCODERS, 1, 'encoder_divider')
 PHASE_CURRENTS = Topic('phase_currents', 'PhaseCurrents', 'plant', AXES, 2)
 CURRENT_COMMAND = Topic('current_command', 'CurrentCommand', 'pmac', AXES, 1, 'servo_divider')
-PHASE_VOLTAGES = Topic('phase_voltages', 'PhaseVoltages', 'copley', AXES, 3)
+PHASE_VOLTAGES = Topic('phase_voltages', 'PhaseVoltages', 'copley', AXES, 3, mask='open')
 
 LOCKSTEP_TOPICS = (ENCODERS_TOPIC, PHASE_CURRENTS, CURRENT_COMMAND, PHASE_VOLTAGES)
 """The topics that somebody waits for."""

@@ -31,6 +31,7 @@ class _TopicInput:
         self.spacing = topic.ticks_between(timing)
         whole = topic.message == 'Encoders'
         self.values = np.zeros(len(topic.places) * topic.width, np.int64 if whole else np.float64)
+        self.mask = 0
         self.heard = 0
 
     def _check(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> None:
@@ -48,6 +49,19 @@ class _TopicInput:
         if not math.isfinite(sum(values)):
             raise self._error(tick, f'holds a value that is no finite number: {tuple(values)}')
 
+    def _keep(self, relevant: int, values: Sequence[float]) -> None:
+        """Put the values and mask bits of the places in `relevant` where they belong."""
+        if relevant == self.topic.all_places:
+            self.values[:] = values[: self.values.size]
+        else:
+            width = self.topic.width
+            for place in range(len(self.topic.places)):
+                if relevant >> place & 1:
+                    own = slice(place * width, (place + 1) * width)
+                    self.values[own] = values[own]
+        if self.topic.mask:
+            self.mask = self.mask & ~relevant | int(values[-1]) & relevant
+
     def _error(self, tick: int, what: str, mask: int = 0) -> LockstepError:
         axes = f' ({self.topic.names_of(mask)})' if self.topic.names_of(mask) else ''
         return LockstepError(
@@ -61,8 +75,9 @@ class Inbox(_TopicInput):
 
     `values` is a float64 or int64 array of shape (places * width,), the last complete values; it is
     the same array for the inbox's whole life, so that compiled functions can be handed it once.
-    `due` is the tick that the inbox waits for. `heard` collects the mask of the places from which
-    any message came, repetitions included; whoever watches for silence reads and clears it.
+    `mask` has the bits of the topic's mask field (`Topic.mask`), 0 if it has none. `due` is the tick
+    that the inbox waits for. `heard` collects the mask of the places from which any message came,
+    repetitions included; whoever watches for silence reads and clears it.
     """
 
     def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
@@ -70,7 +85,9 @@ class Inbox(_TopicInput):
         super().__init__(topic, timing, needed)
         self.due = 0
         self._covered = 0
-        self._stored = [()] * len(topic.places)  # type: list[Sequence[float]]
+        # (places, values) of the messages of the tick that is due, and of the one before
+        self._messages: list[tuple[int, Sequence[float]]] = []
+        self._previous: list[tuple[int, Sequence[float]]] = []
 
     @property
     def complete(self) -> bool:
@@ -86,67 +103,39 @@ class Inbox(_TopicInput):
         """Say that the complete values have been used: wait for the next tick of this topic."""
         self.due += self.spacing
         self._covered = 0
+        self._messages, self._previous = [], self._messages
 
     def push(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
         """
         Take one message; return whether it brought anything new (False for a repetition).
 
-        `values` has places * width numbers. Places that this node does not need are passed over.
-        Raises `LockstepError` as the module's docstring says.
+        `values` is the tuple of all values behind `valid` in the message. Places that this node does
+        not need are passed over. Raises `LockstepError` as the module's docstring says.
         """
         self._check(tick, stamp_ns, valid, values)
         relevant = valid & self.needed
+        if not relevant:
+            return False
+        message = (relevant, values)
         if tick == self.due:
-            if relevant == self.topic.all_places and not self._covered:
-                self._store_all(values)
+            if not relevant & self._covered:
+                self._keep(relevant, values)
+                self._covered |= relevant
+                self._messages.append(message)
                 return True
-            return self._store(tick, relevant, values)
-        if tick == self.due - self.spacing and self._repeats(relevant, values):
+            if message in self._messages:
+                return False
+            raise self._error(
+                tick,
+                'came twice, and not the same: two nodes speak for the same axis',
+                relevant & self._covered,
+            )
+        if tick == self.due - self.spacing and message in self._previous:
             return False
         if tick < self.due:
-            raise self._error(
-                tick, f'is stale or out of order: tick {self.due} is due', relevant or valid
-            )
+            raise self._error(tick, f'is stale or out of order: tick {self.due} is due', relevant)
         raise self._error(
-            self.due,
-            f'is missing: tick {tick} came instead',
-            (relevant & ~self._covered) or valid,
-        )
-
-    def _store_all(self, values: Sequence[float]) -> None:
-        self.values[:] = values
-        width = self.topic.width
-        self._stored = [values[i : i + width] for i in range(0, len(values), width)]
-        self._covered = self.needed
-
-    def _store(self, tick: int, relevant: int, values: Sequence[float]) -> bool:
-        width = self.topic.width
-        new = False
-        for place in range(len(self.topic.places)):
-            if not relevant >> place & 1:
-                continue
-            given = values[place * width : (place + 1) * width]
-            if self._covered >> place & 1:
-                if given != self._stored[place]:
-                    raise self._error(
-                        tick,
-                        'came twice with different values: two nodes speak for the same axis',
-                        1 << place,
-                    )
-                continue
-            self.values[place * width : (place + 1) * width] = given
-            self._stored[place] = given
-            self._covered |= 1 << place
-            new = True
-        return new
-
-    def _repeats(self, relevant: int, values: Sequence[float]) -> bool:
-        """Tell whether a message of the tick before the due one only repeats what it gave."""
-        width = self.topic.width
-        return all(
-            values[place * width : (place + 1) * width] == self._stored[place]
-            for place in range(len(self.topic.places))
-            if relevant >> place & 1
+            self.due, f'is missing: tick {tick} came instead', relevant & ~self._covered or relevant
         )
 
 
@@ -194,19 +183,15 @@ class NewestInput(_TopicInput):
         """Take one message; return whether any needed place became newer by it."""
         self._check(tick, stamp_ns, valid, values)
         relevant = valid & self.needed
-        width = self.topic.width
-        new = False
+        new = 0
         for place, newest in enumerate(self._newest):
-            if not relevant >> place & 1 or tick <= newest:
-                continue
-            if newest >= 0:
-                self.missed += (tick - newest) // self.spacing - 1
-            self._newest[place] = tick
-            self.values[place * width : (place + 1) * width] = values[
-                place * width : (place + 1) * width
-            ]
-            new = True
+            if relevant >> place & 1 and tick > newest:
+                if newest >= 0:
+                    self.missed += (tick - newest) // self.spacing - 1
+                self._newest[place] = tick
+                new |= 1 << place
         if new:
+            self._keep(new, values)
             self.received += 1
             self.late += tick < self.now
-        return new
+        return bool(new)

@@ -179,7 +179,8 @@ class LockstepNode(Node):
         if self.outcome is not None:
             return
         self.outcome = reason
-        self.get_logger().error(reason)
+        if reason != INTERRUPTED:
+            self.get_logger().error(reason)
         stop = waferbot_msgs.msg.Stop(
             tick=max(self.tick, 0), node=self.get_fully_qualified_name(), reason=reason
         )
@@ -442,6 +443,10 @@ def spin_until_done(
                     node.interrupt()
     except ExternalShutdownException:
         pass
+    except Exception as error:
+        for node in nodes:
+            node.fail(f'internal error, please report it: {error!r}')
+        raise
     finally:
         for node in nodes:
             executor.remove_node(node)

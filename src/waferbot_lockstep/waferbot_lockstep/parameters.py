@@ -53,7 +53,7 @@ def check_value(parameter: Parameter, value: object, where: str) -> Value:
     wanted = 'a whole number' if parameter.integer else 'a number'
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise UserError(f'{name} is {value!r}; it must be {wanted}, {parameter.range_text()}')
-    if parameter.integer and value != int(value):
+    if parameter.integer and math.isfinite(value) and value != int(value):
         raise UserError(f'{name} is {value!r}; it must be a whole number')
     if not math.isfinite(value) or not parameter.low <= value <= parameter.high:
         raise UserError(f'{name} is {value!r}; the range is {parameter.range_text()}')

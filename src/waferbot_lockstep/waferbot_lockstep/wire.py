@@ -47,7 +47,7 @@ class WireFormat:
 
     The type must be a header, `tick`, `valid` and fixed-size numeric fields, in that order.
     `dtype` describes one message as a NumPy structured array, including the encapsulation, so that
-    many of them can be decoded or made at once.
+    many of them can be decoded or made at once; `value_fields` names the fields behind `valid`.
     """
 
     def __init__(self, message_type: Any) -> None:
@@ -56,7 +56,7 @@ class WireFormat:
         fields = list(message_type.get_fields_and_field_types().items())
         if [name for name, _ in fields[:3]] != ['header', 'tick', 'valid']:
             raise TypeError(f'{message_type.__name__} is not a lock-step message')
-        self._fields = fields[3:]
+        self.value_fields = [name for name, _ in fields[3:]]
         layout = _Layout()
         layout.add('stamp_sec', 'int32')
         layout.add('stamp_nanosec', 'uint32')
@@ -123,7 +123,7 @@ class WireFormat:
         except Exception as error:  # rclpy raises its own, undocumented type here
             raise UserError(f'no valid {self.message_type.__name__} message: {error}') from error
         values: list[float] = []
-        for name, _ in self._fields:
+        for name in self.value_fields:
             values.extend(np.atleast_1d(getattr(message, name)).tolist())
         stamp = message.header.stamp
         stamp_ns = stamp.sec * NANOSECONDS_PER_SECOND + stamp.nanosec

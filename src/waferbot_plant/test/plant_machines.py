@@ -53,6 +53,30 @@ def write_single_mass(**more: Any) -> Path:
     return write(single_mass(**more))
 
 
+def two_slides(**more: Any) -> dict[str, Any]:
+    """Return two masses of 2 kg on vertical slides of their own."""
+    body = {
+        'mass_kg': 2.0,
+        'centre_of_gravity_m': [0, 0, 0],
+        'inertia_kg_m2': {'xx': 0.01, 'yy': 0.01, 'zz': 0.01},
+    }
+    return {
+        'name': 'two slides',
+        'bodies': {'first': dict(body), 'second': dict(body)},
+        'joints': {
+            f'{name}_guide': {
+                'parent': 'base',
+                'child': name,
+                'at_m': [0, 0, 0],
+                'freedoms': {name: {'type': 'prismatic', 'axis': [0, 1, 0]}},
+            }
+            for name in ('first', 'second')
+        },
+        'axes': {'y_linear': 'first'},
+        **more,
+    }
+
+
 def write_pendulum(**more: Any) -> Path:
     """Write a physical pendulum about z that hangs down at home."""
     return write({

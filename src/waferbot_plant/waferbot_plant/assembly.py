@@ -15,6 +15,7 @@ by their motors), and a cable is stretched by it.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +81,7 @@ def assemble(description: Description) -> Assembly:
     flexible = {name for name, part in description.connections.items() if part.flexible}
     links, placing, coordinates = _reduce(description, flexible)
     rotor_inertia = _rotor_inertia(description, placing, len(coordinates))
-    behaviour = _Behaviour(description)
+    behaviour = Behaviour(description)
     elements = [
         *_held_freedoms(description, flexible, placing, behaviour),
         *_soft_transmissions(description, flexible, placing, behaviour),
@@ -177,7 +178,7 @@ def _rotor_inertia(
     return inertia
 
 
-class _Behaviour:
+class Behaviour:
     """
     How the elastic parts of a machine behave by themselves, whatever else is switched rigid.
 
@@ -233,6 +234,28 @@ class _Behaviour:
         arms = np.array([transmission.ratio * ends[0][1], -ends[1][1]])
         inertia = self.mass_matrix[np.ix_(places, places)]
         return math.sqrt(stiffness * float(arms @ np.linalg.solve(inertia, arms)))
+
+    def first_frequencies(self) -> dict[str, float]:
+        """
+        Return the first frequency of every connection in Hz, the quantity of Table 6.7.
+
+        The connections of one transmission share one: it has one pair of ends.
+        """
+        frequencies = {}
+        for transmission in self.description.transmissions.values():
+            seen = stages_seen_at_output(
+                transmission, self.description.connections, set(self.description.connections)
+            )
+            if seen:
+                total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]
+                for part, _ in seen:
+                    frequencies[part.name] = self.transmission_frequency(transmission, total)
+        for name, part in self.description.connections.items():
+            if name in self.freedom_of:
+                frequencies[name] = self.freedom_frequency(part)
+        return {
+            name: frequencies[name] / (2.0 * math.pi) for name in self.description.connections
+        }
 
     def damping(self, connection: Connection, stiffness: float, frequency: float) -> float:
         """Return the viscous damping of a part, structural damping by b = eta k / omega (5.5)."""
@@ -293,7 +316,7 @@ def _held_freedoms(
     description: Description,
     flexible: set[str],
     placing: dict[str, tuple[int, float]],
-    behaviour: _Behaviour,
+    behaviour: Behaviour,
 ) -> list[Element]:
     """Return the springs of the freedoms that are held by flexible connections."""
     elements = []
@@ -320,7 +343,7 @@ def _held_freedoms(
 
 
 def stages_seen_at_output(
-    transmission: Transmission, connections: dict[str, Connection], flexible: set[str]
+    transmission: Transmission, connections: Mapping[str, Connection], flexible: set[str]
 ) -> list[tuple[Connection, float]]:
     """
     Return the flexible connections of a transmission with their stiffness seen at its driven end.
@@ -342,12 +365,12 @@ def _soft_transmissions(
     description: Description,
     flexible: set[str],
     placing: dict[str, tuple[int, float]],
-    behaviour: _Behaviour,
+    behaviour: Behaviour,
 ) -> list[Element]:
     """Return the springs of the transmissions that give: deflection = ratio * driving - driven."""
     elements = []
     for transmission in description.transmissions.values():
-        seen = stages_seen_at_output(transmission, dict(description.connections), flexible)
+        seen = stages_seen_at_output(transmission, description.connections, flexible)
         if not seen:
             continue
         total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]

@@ -63,7 +63,7 @@ def state_fields(springs: int, cables: int, frictions: int, coordinates: int) ->
     ]
 
 
-@njit(cache=True, error_model='numpy', inline='always')
+@njit(cache=True, error_model='numpy')
 def add_spring(
     matrix, right, first, second, a, b, stiffness, damping, rest, position, velocity, step
 ):
@@ -270,30 +270,40 @@ def book_frictions(s, p, mean_speed, step):
 
 
 @njit(cache=True, error_model='numpy')
+def spring_force(p, spring, position, velocity):
+    """Return the force k e + d e' of a spring-damper at one instant, N or Nm, positive when pulling."""
+    first = p['spring_first'][spring]
+    second = p['spring_second'][spring]
+    a = p['spring_first_ratio'][spring]
+    b = p['spring_second_ratio'][spring]
+    deflection = a * position[first] + b * position[second] - p['spring_rest'][spring]
+    rate = a * velocity[first] + b * velocity[second]
+    return p['spring_stiffness'][spring] * deflection + p['spring_damping'][spring] * rate
+
+
+@njit(cache=True, error_model='numpy')
+def cable_tension(s, p, cable, position, velocity):
+    """Return the tension of a cable at one instant, as judged there, N."""
+    rate = (
+        p['cable_first_ratio'][cable] * velocity[p['cable_first'][cable]]
+        + p['cable_second_ratio'][cable] * velocity[p['cable_second'][cable]]
+    )
+    elongation = cable_elongation(p, cable, position)
+    return s['cable_stiffness'][cable] * elongation + s['cable_damping'][cable] * rate
+
+
+@njit(cache=True, error_model='numpy')
 def subtract_instant_forces(s, p, position, velocity, right):
-    """Subtract the forces of springs and (judged) cables at one instant from `right` (n,), N or Nm."""
+    """Subtract the forces of springs and cables at one instant from `right` (n,), N or Nm."""
     for spring in range(len(p['spring_first'])):
-        first = p['spring_first'][spring]
-        second = p['spring_second'][spring]
-        a = p['spring_first_ratio'][spring]
-        b = p['spring_second_ratio'][spring]
-        deflection = a * position[first] + b * position[second] - p['spring_rest'][spring]
-        rate = a * velocity[first] + b * velocity[second]
-        force = p['spring_stiffness'][spring] * deflection + p['spring_damping'][spring] * rate
-        right[first] -= a * force
-        right[second] -= b * force
+        force = spring_force(p, spring, position, velocity)
+        right[p['spring_first'][spring]] -= p['spring_first_ratio'][spring] * force
+        right[p['spring_second'][spring]] -= p['spring_second_ratio'][spring] * force
+    judge_cables(s, p, position, velocity)
     for cable in range(len(p['cable_first'])):
-        first = p['cable_first'][cable]
-        second = p['cable_second'][cable]
-        a = p['cable_first_ratio'][cable]
-        b = p['cable_second_ratio'][cable]
-        rate = a * velocity[first] + b * velocity[second]
-        force = (
-            s['cable_stiffness'][cable] * cable_elongation(p, cable, position)
-            + s['cable_damping'][cable] * rate
-        )
-        right[first] -= a * force
-        right[second] -= b * force
+        force = cable_tension(s, p, cable, position, velocity)
+        right[p['cable_first'][cable]] -= p['cable_first_ratio'][cable] * force
+        right[p['cable_second'][cable]] -= p['cable_second_ratio'][cable] * force
 
 
 @njit(cache=True, error_model='numpy')

@@ -174,7 +174,7 @@ def mass_matrix_and_bias(s, p, position, velocity):
             wrench[parent, entry] += wrench[own, entry]
 
 
-@njit(cache=True, error_model='numpy', inline='always')
+@njit(cache=True, error_model='numpy')
 def _place_link(s, p, link, position, velocity):
     """Pose, joint axis, twist and velocity-product acceleration of a link from those of its parent."""
     rotation = s['rotation']
@@ -252,7 +252,7 @@ def _place_link(s, p, link, position, velocity):
         point[own, 0], point[own, 1], point[own, 2] = px + ax * q, py + ay * q, pz + az * q
 
 
-@njit(cache=True, error_model='numpy', inline='always')
+@njit(cache=True, error_model='numpy')
 def _weigh_link(s, p, link):
     """Inertia of a link's own body about the base origin, and the wrench that its drift takes."""
     composite = s['composite']

@@ -129,7 +129,10 @@ class PlantNode(LockstepNode):
     def _advance(self) -> None:
         """Integrate over this tick with the voltages held, then measure at the next one."""
         self._due = False
-        plant.advance(self._model_state, self._model_parameters, self.inboxes[PHASE_VOLTAGES].values)
+        inbox = self.inboxes[PHASE_VOLTAGES]
+        for axis in range(len(AXES)):
+            self._model_state['terminals_open'][0, axis] = inbox.mask >> axis & 1
+        plant.advance(self._model_state, self._model_parameters, inbox.values)
         self._tick += 1
         if self.end_tick and self._tick >= self.end_tick:
             self.finish()

@@ -85,25 +85,35 @@ def mass_matrix(state, parameters, matrix):
 
 
 @njit(cache=True, error_model='numpy')
-def acceleration(state, parameters, force, result):
+def generalised_forces(state, parameters, result):
     """
-    Fill `result` (n,) with z'' at the present state under the forces `force` (n,), N or Nm.
+    Fill `result` (n,) with the forces on z at the present state, N or Nm.
 
-    Forces of springs, dampers, cables and gravity are added; dry friction and motors are not, nor is
-    `external_force`. This is the instant's equation of motion, for comparison with other engines;
-    `advance` does not use it.
+    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction, motors
+    and `external_force`.
     """
     s = state[0]
     p = parameters[0]
-    position = s['position']
-    velocity = s['velocity']
-    multibody.mass_matrix_and_bias(s, p, position, velocity)
+    multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     for row in range(len(result)):
-        result[row] = force[row] - s['bias'][row]
+        result[row] = -s['bias'][row]
+    elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
+
+
+@njit(cache=True, error_model='numpy')
+def acceleration(state, parameters, force, result):
+    """
+    Fill `result` (n,) with z'' at the present state under `force` (n,), N or Nm, and the forces above.
+
+    This is the instant's equation of motion, for comparison with other engines; `advance` does not
+    use it.
+    """
+    s = state[0]
+    generalised_forces(state, parameters, result)
+    for row in range(len(result)):
+        result[row] += force[row]
         for column in range(row + 1):
             s['factors'][row, column] = s['mass_matrix'][row, column]
-    elements.judge_cables(s, p, position, velocity)
-    elements.subtract_instant_forces(s, p, position, velocity, result)
     multibody.factorise(s['factors'])
     multibody.solve(s['factors'], result)
 
@@ -254,9 +264,24 @@ class Machine:
             p['friction_resistance'][place, :points] = friction.resistances
             p['friction_breakaway'][place] = friction.breakaway
 
-    def initial_state(self, parameters: NDArray[np.void]) -> NDArray[np.void]:
-        """Return the state at rest in the home pose, no current, encoder history filled with it."""
+    def initial_state(
+        self,
+        parameters: NDArray[np.void],
+        positions: Mapping[str, float] | None = None,
+        holding: bool = False,
+    ) -> NDArray[np.void]:
+        """
+        Return a state at rest, with the encoders' history filled with it.
+
+        At home, or with the axes at `positions` (axis name to m or rad) and everything that gives in
+        static equilibrium. Without `holding` no current flows, and the machine begins to fall where
+        gravity moves an axis; with it the windings carry the currents that hold the axes.
+        """
         state = np.zeros(1, self.state_dtype)
+        if positions or holding:
+            from waferbot_plant.statics import settle
+
+            settle(self, state, parameters, positions or {}, holding)
         fill_readings(state, parameters)
         return state
 
@@ -307,7 +332,7 @@ def find_description(name_or_path: str | Path) -> Path:
     known = {
         file.stem: file
         for file in [*folder.glob('examples/*.yaml'), *folder.glob('*.yaml')]
-        if 'bodies:' in file.read_text('utf-8') or 'extends:' in file.read_text('utf-8')
+        if 'joints:' in file.read_text('utf-8') or 'extends:' in file.read_text('utf-8')
     }
     if str(name_or_path) not in known:
         hint = did_you_mean(str(name_or_path), known)

@@ -35,8 +35,9 @@ def run(settings_of_axes, counts, commanded, **change_at):
     """
     Run the servo from standstill at the first row of `counts` (n, 4) and `commanded` (n, 3).
 
-    `change_at` maps `cycle_<n>` to a function called with the parameters before that cycle. Returns
-    the current in units of `AMPERES_PER_BIT`, so in DAC bits, (n, 3), and the states, one per cycle.
+    `change_at` maps `cycle_<n>` to a function called with the parameters before that cycle.
+    Returns the current in units of `AMPERES_PER_BIT`, so in DAC bits, (n, 3), and the states, one
+    per cycle.
     """
     parameters = servo_parameters(settings_of_axes)
     state = servo.initial_state(parameters)
@@ -94,10 +95,7 @@ class ManualServo:
         fe = self.cp[0] - position_counts
         fe = max(-i['Ixx67'] / 16, min(i['Ixx67'] / 16, fe))
         band, gain = i['Ixx65'] / 16, i['Ixx64'] / 16
-        if abs(fe) <= band:
-            fe = fe * (1 + gain)
-        else:
-            fe = fe + gain * band * (1 if fe > 0 else -1)
+        fe += gain * max(-band, min(band, fe))
         feedforward = (i['Ixx32'] * cv + i['Ixx35'] * ca) / 128
         damping = i['Ixx31'] * i['Ixx09'] * av / 128
         x = (
@@ -192,7 +190,8 @@ def test_law_matches_the_manuals_equation_in_exact_arithmetic(seed):
             exact = manual.cycle(
                 int(counts[n, position]), int(counts[n, velocity]), commanded[n, place]
             )
-            # The command word is rounded down to 1/256 DAC unit; float64 may stand within 1e-9 of a step.
+            # The command word is rounded down to 1/256 DAC unit; float64 may lie within 1e-9 of a
+            # step and fall on its other side.
             tolerance = Fraction(1, 10**9) * max(1, abs(exact))
             possible = {
                 math.floor((exact - tolerance) * 256),
@@ -240,7 +239,7 @@ def test_derivative_acts_on_the_velocity_feedback_only():
 
 
 def test_dual_feedback_scale_makes_a_finer_velocity_sensor_equal():
-    """A motor encoder three times as fine, with a third of Ixx09, damps as the load encoder does."""
+    """A motor encoder three times as fine, with a third of Ixx09, damps as the load encoder."""
     random = np.random.default_rng(7)
     load = np.cumsum(random.integers(-30, 30, 40))
     counts = np.zeros((40, 4), np.int64)
@@ -261,15 +260,14 @@ def test_output_is_limited_and_flagged_at_ixx69():
     assert limited.tolist() == [0, servo.OUTPUT_LIMITED, servo.OUTPUT_LIMITED]
 
 
-def test_output_that_just_reaches_the_limit_counts_as_limited():
+@pytest.mark.parametrize(('command', 'limited'), [(99, False), (100, True)])
+def test_output_that_just_reaches_the_limit_counts_as_limited(command, limited):
     values = {**ONE_BIT_PER_COUNT, 'Ixx69': 100, 'Ixx33': 1, 'Ixx34': 0}
-    current, states = run_y_linear(values, [0] * 3, [0, 99, 100])
-    assert current.tolist() == [0, 99, 100]
-    assert states['flags'][:, 0].tolist() == [
-        servo.INTEGRATOR_ACTIVE,
-        servo.INTEGRATOR_ACTIVE | servo.MOVING,
-        servo.OUTPUT_LIMITED | servo.MOVING,
-    ]
+    current, states = run_y_linear(values, [0] * 2, [0, command])
+    assert current.tolist() == [0, command]
+    reason = servo.OUTPUT_LIMITED if limited else servo.INTEGRATOR_ACTIVE
+    assert states['flags'][1, 0] == servo.MOVING | reason
+    assert (states['integrator'][1, 0] == 0) == limited
 
 
 def test_integrator_is_held_not_cleared_while_saturated():
@@ -291,7 +289,8 @@ def test_integrator_is_held_not_cleared_while_moving_in_mode_1():
     assert stored[4] > 0
     assert (stored[5:15] == stored[4]).all()
     assert not active[5:15].any()
-    assert stored[15] > stored[14] and active[15]
+    assert stored[15] > stored[14]
+    assert active[15]
     _, always = run_y_linear({**values, 'Ixx34': 0}, [0] * 17, commanded)
     assert (np.diff(always['integrator'][1:, 0]) > 0).all()
 
@@ -335,10 +334,12 @@ def test_negative_ixx63_kills_a_motor_whose_integrator_is_full(sign):
     values = {'Ixx33': 2**22, 'Ixx34': 0, 'Ixx63': 16 * 100 * sign, 'Ixx24': 2 << 21}
     current, states = run_y_linear(values, [0] * 30, [0] + [20] * 29)
     full = int(np.argmax(states['flags'][:, 0] & servo.INTEGRATOR_LIMITED > 0))
-    assert states['integrator'][full, 0] == 100 and full < 25
+    assert states['integrator'][full, 0] == 100
+    assert full < 25
     both = servo.FATAL_FOLLOWING_ERROR | servo.INTEGRATOR_LIMITED | servo.MOTOR_KILLED
     if sign > 0:
-        assert current[-1] != 0 and not states['flags'][-1, 0] & servo.MOTOR_KILLED
+        assert current[-1] != 0
+        assert not states['flags'][-1, 0] & servo.MOTOR_KILLED
     else:
         assert not current[full + 1 :].any()
         assert (states['flags'][full + 1 :, 0] & both == both).all()
@@ -360,7 +361,8 @@ def test_warning_and_fatal_following_error():
     assert warned.tolist() == [False, False, True, True, True, True, True]
     fatal = (flags & servo.FATAL_FOLLOWING_ERROR).astype(bool)
     assert fatal.tolist() == [False] * 4 + [True] * 3
-    assert current[3] != 0 and not current[4:].any()
+    assert current[3] != 0
+    assert not current[4:].any()
     assert states['killed'][:, 0].tolist() == [0] * 4 + [1] * 3
 
 
@@ -373,7 +375,8 @@ def test_ixx24_says_whom_a_fault_kills(scope, others_killed):
     commanded = np.zeros((3, 3))
     commanded[1:] = 10
     current, states = run(values, np.zeros((3, 4), np.int64), commanded)
-    assert current[1, 1] == 0 and states['killed'][1, 1]
+    assert current[1, 1] == 0
+    assert states['killed'][1, 1]
     for other in (0, 2):
         assert (current[1, other] == 0) == others_killed
         killed = states['flags'][2, other] & servo.MOTOR_KILLED
@@ -389,7 +392,9 @@ def test_prime_closes_a_killed_loop_again():
     assert state['killed'].all()
     servo.prime(state, parameters, counts, np.zeros(3))
     servo.step(state, parameters, counts, np.array([1.0, 0.0, 0.0]), current)
-    assert current[0] > 0 and not state['killed'].any() and state['flags'][0, 0] == servo.MOVING
+    assert current[0] > 0
+    assert not state['killed'].any()
+    assert state['flags'][0, 0] == servo.MOVING
 
 
 def test_prime_forgets_the_motion_before():
@@ -432,7 +437,8 @@ def test_deadband_is_continuous_and_tends_to_the_usual_gain(gain, width):
 def test_true_deadband_leaves_no_command_inside():
     values = {'Ixx64': -16, 'Ixx65': 16 * 20}
     current, _ = run_y_linear(values, [0] * 5, [0, 19, 20, 21, -20])
-    assert current[1] == current[2] == current[4] == 0 and current[3] > 0
+    assert current[1] == current[2] == current[4] == 0
+    assert current[3] > 0
 
 
 def test_notch_matches_scipy_and_has_its_gain_at_rest():
@@ -471,7 +477,7 @@ def test_extended_cycle_acts_every_ixx60_plus_first_interrupt_and_holds_between(
 
 
 def test_current_protection_trips_after_the_time_of_the_manuals_example():
-    """|I|T: 0.75 of full scale, continuous 0.25, 3 s at 4 kHz: Ixx58 = 6000, tripping after 12000."""
+    """|I|T: 0.75 of full scale, continuous 0.25, 3 s at 4 kHz: Ixx58 = 6000."""
     parameters = servo_parameters(
         {'y_linear': {**QUIET, 'Ixx30': 0, 'Ixx29': 24576, 'Ixx57': -8192, 'Ixx58': 6000}}
     )
@@ -521,7 +527,8 @@ def _interrupts_until_trip(parameters, at_most=100_000, state=None):
     for interrupt in range(1, at_most + 1):
         servo.step(state, parameters, counts, commanded, current)
         if state['flags'][0, 0] & servo.AMPLIFIER_I2T:
-            assert current[0] == 0 and state['killed'][0, 0]
+            assert current[0] == 0
+            assert state['killed'][0, 0]
             return interrupt
     return None
 

@@ -36,7 +36,17 @@ def test_step_begins_in_the_cycle_of_its_time_and_not_one_later():
     times = trajectories.cycle_times(0.5, RATE)
     assert times.size == 1125
     signal = trajectories.step(times, 0.02, 2500)
-    assert signal[44] == 0 and signal[45] == 2500 and signal[-1] == 2500
+    assert signal[44] == 0
+    assert signal[45] == 2500
+    assert signal[-1] == 2500
+
+
+@pytest.mark.parametrize('rate', [2250.0, 2222.0, 1000.0])
+def test_every_decimal_time_of_a_cycle_is_in_that_cycle(rate):
+    times = trajectories.cycle_times(0.5, rate)
+    for cycle in range(times.size):
+        signal = trajectories.step(times, round(cycle / rate, 10), 1.0)
+        assert np.flatnonzero(signal)[0] == cycle
 
 
 def test_bidirectional_step_returns_to_zero():
@@ -56,7 +66,8 @@ def test_random_is_the_documented_generator_and_stays_within_its_amplitude():
     held = signal[int(0.1 * RATE) :].reshape(95, 45)
     assert (held == held[:, :1]).all()
     assert held[:, 0] == pytest.approx(300.0 * (2.0 * draws - 1.0))
-    assert np.abs(signal).max() <= 300.0 and np.abs(signal.mean()) < 60.0
+    assert np.abs(signal).max() <= 300.0
+    assert np.abs(signal.mean()) < 60.0
 
 
 def test_the_generator_still_gives_the_numbers_it_gave_when_seeds_were_first_used():
@@ -168,7 +179,9 @@ def test_blended_path_is_its_velocity_steps_convolved_with_two_boxes(seed):
         [1e12],
     )
     segments = np.rint(path.move_times_s / spacing).astype(int)
-    speed = np.concatenate([np.full(n, v) for n, v in zip(segments, path.velocities[:, 0])])
+    speed = np.concatenate(
+        [np.full(n, v) for n, v in zip(segments, path.velocities[:, 0], strict=True)]
+    )
     for box in (total - s_curve, s_curve):
         speed = np.convolve(speed, np.full(box, 1.0 / box))
     expected = corners[0, 0] + spacing * np.concatenate([[0.0], np.cumsum(speed)])
@@ -190,7 +203,8 @@ def test_linear_moves_end_exactly_and_never_exceed_a_limit(seed):
     path = trajectories.linear(corners, random.uniform(0.0, 0.5, moves), requested, top, limit)
     spacing = path.duration_s / 20000
     _, position, velocity, acceleration, _ = derivatives(path, 0.01, spacing)
-    assert (position[0] == corners[0]).all() and (position[-1] == corners[-1]).all()
+    assert (position[0] == corners[0]).all()
+    assert (position[-1] == corners[-1]).all()
     assert (np.abs(velocity).max(axis=0) <= top * (1 + 1e-6)).all()
     assert (np.abs(acceleration).max(axis=0) <= limit * (1 + 1e-3) + 1e-4).all()
     # the profile keeps its shape

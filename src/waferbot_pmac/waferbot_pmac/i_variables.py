@@ -3,7 +3,8 @@
 The I-variables of a motor, declared once, and the array in which the servo reads them.
 
 `Ixx30` stands for I130 on motor 1, I230 on motor 2 and so on; motor 1 is `y_linear`, 2 `x_rotate`,
-3 `y_rotate`. Meaning, range and default are those of the Turbo PMAC Software Reference, except that
+3 `y_rotate`. Meaning, range and default are those of the Turbo PMAC Software Reference, except
+that
 
 - Ixx03 and Ixx04 hold the place of an encoder in the contract (0 `y_linear`, 1 `x_rotate`,
   2 `y_rotate_load`, 3 `y_rotate_motor`), where the controller holds the address of an entry of its
@@ -74,7 +75,7 @@ I_VARIABLES: tuple[Parameter, ...] = (
         '',
         SMALLEST_24_BIT,
         LARGEST_24_BIT,
-        'Master scale factor of position following; not in the servo law, and there is no master here',
+        'Master scale factor of position following; without effect, there is no master here',
     ),
     _whole('Ixx08', 96, '', 1, LARGEST_24_BIT, 'Position scale factor', fixed=True),
     _whole('Ixx09', 96, '', 0, LARGEST_24_BIT, 'Velocity loop scale factor', fixed=True),
@@ -106,8 +107,8 @@ I_VARIABLES: tuple[Parameter, ...] = (
         '',
         0,
         2**24 - 1,
-        'Flag mode. Bits 22-21 say whom a fault of this motor kills: 0 and 1 all motors (all are in '
-        'one coordinate system here), 2 and 3 only this one; the other bits have no meaning here',
+        'Flag mode. Bits 22-21 say whom a fault of this motor kills: 0 and 1 all motors (all are '
+        'in one coordinate system here), 2 and 3 only this one; other bits are without effect',
     ),
     _whole('Ixx28', 160, '1/16 count', 0, LARGEST_24_BIT, 'In-position band'),
     _whole('Ixx29', 0, 'DAC bits', -32768, 32767, 'Bias added to the output'),
@@ -186,7 +187,7 @@ I_VARIABLES: tuple[Parameter, ...] = (
         '',
         0,
         3,
-        'Bit 1: integrator inside the velocity loop; bit 0 (command output mode) has no meaning here',
+        'Bit 1: integrator inside the velocity loop; bit 0 (output mode) is without effect',
     ),
 )
 """The I-variables of one motor, in the order of their numbers."""
@@ -253,10 +254,10 @@ def axis_parameters(axis: str) -> tuple[Parameter, ...]:
 
 def servo_parameters(settings: Mapping[str, Mapping[str, object]], where: str = '') -> np.ndarray:
     """
-    Build the `SERVO_PARAMETERS` array, shape (1,), from settings such as `{'y_linear': {'Ixx30': 2000}}`.
+    Build the `SERVO_PARAMETERS` array, shape (1,), from `{'y_linear': {'Ixx30': 2000}, ...}`.
 
-    What is not given has its default. Raises `UserError`, naming `where`, the axis and the setting,
-    for an unknown axis or setting and for a value out of range.
+    What is not given has its default. Raises `UserError`, naming `where`, the axis and the
+    setting, for an unknown axis or setting and for a value out of range.
     """
     parameters = np.zeros(1, SERVO_PARAMETERS)
     prefix = f'{where}: ' if where else ''
@@ -299,8 +300,8 @@ def as_held(name: str, value: int | float) -> int | float:
     """
     Return `value` as the controller's register holds it.
 
-    Notch coefficients are 24-bit numbers with 22 fractional bits, so they are rounded to the nearest
-    multiple of 2^-22; everything else is held as given.
+    Notch coefficients are 24-bit numbers with 22 fractional bits, so they are rounded to the
+    nearest multiple of 2^-22; everything else is held as given.
     """
     if name in ('Ixx36', 'Ixx37', 'Ixx38', 'Ixx39'):
         return round(value * 2**NOTCH_FRACTIONAL_BITS) / 2**NOTCH_FRACTIONAL_BITS

@@ -70,8 +70,8 @@ def parse(text: str, source: str) -> MarkedYaml:
     """
     Parse one YAML document.
 
-    Raises `UserError` with source and line for text that is no YAML, a key given twice, or a tag that
-    plain data does not have.
+    Raises `UserError` with source and line for text that is no YAML, a key given twice, or a tag
+    that plain data does not have.
     """
     lines: dict[Path, int] = {}
     try:

@@ -17,19 +17,20 @@ A cycle is Ixx60 + 1 servo interrupts long. Thesis, Figs. 3.7 to 3.9, is the sam
 
 Registers
 ---------
-As on the controller, position is held in 1 / (32 Ixx08) count and velocity feedback in
-1 / (32 Ixx09) count per cycle; `CMD` is then 2^-24 Ixx30 times a sum of such registers. The gains
-are 24-bit integers, so the sum has whole and binary-fraction parts only, and float64 carries it
+As on the controller, position is held in 1 / (32 Ixx08) count and velocity feedback in 1 / (32
+Ixx09) count per cycle; `CMD` is then 2^-24 Ixx30 times a sum of such registers. The gains are
+24-bit integers, so the sum has whole and binary-fraction parts only, and float64 carries it
 exactly while it stays below 2^53 of its smallest unit: positions up to 2^53 / (32 Ixx08) counts
 (2.9e12 at Ixx08 = 96), the integrator up to 2^30 registers (3.5e5 counts at Ixx08 = 96). Beyond
-that it rounds by one part in 10^16, as the last product by Ixx30 and the notch always do. The command
-leaves as a 24-bit word whose upper 16 bits are the DAC units: rounded down to 1/256 DAC unit.
+that it rounds by one part in 10^16, as the last product by Ixx30 and the notch always do. The
+command leaves as a 24-bit word whose upper 16 bits are the DAC units: rounded down to 1/256 DAC
+unit.
 
 Order of one cycle
 ------------------
-read the encoders; CP, CV, CA; following error and its fatal and warning limits (Ixx11, Ixx12, and
-Ixx63 < 0); limit the error (Ixx67); deadband (Ixx64, Ixx65); sum of P, I, feedforwards and D, times
-Ixx30; notch (Ixx36-39); friction feedforward (Ixx68) and bias (Ixx29); output limit (Ixx69);
+Read the encoders; CP, CV, CA; following error and its fatal and warning limits (Ixx11, Ixx12, and
+Ixx63 < 0); limit the error (Ixx67); deadband (Ixx64, Ixx65); sum of P, I, feedforwards and D,
+times Ixx30; notch (Ixx36-39); friction feedforward (Ixx68) and bias (Ixx29); output limit (Ixx69);
 integrator for the next cycle; current protection (Ixx57, Ixx58); current.
 
 Assumptions where the manuals are silent: the commanded position is rounded to the nearest register
@@ -119,8 +120,8 @@ def initial_state(parameters: np.ndarray) -> np.ndarray:
     """
     Return a state, shape (1,), of `SERVO_STATE` with all loops closed at count zero.
 
-    Call `prime` with the first counts before the first `step`. `parameters` is the `SERVO_PARAMETERS`
-    array that the state will be used with.
+    Call `prime` with the first counts before the first `step`. `parameters` is the
+    `SERVO_PARAMETERS` array that the state will be used with.
     """
     state = np.zeros(1, SERVO_STATE)
     prime(state, parameters, np.zeros(4, np.int64), np.zeros(MOTORS))
@@ -132,8 +133,8 @@ def prime(state, parameters, counts, commanded_position):
     """
     Close all loops at the present counts and commanded position, with no history.
 
-    Commanded and actual velocity start at zero, so the first cycle has no derivative or feedforward
-    kick; integrator, notch, faults and current protection are cleared.
+    Commanded and actual velocity start at zero, so the first cycle has no derivative or
+    feedforward kick; integrator, notch, faults and current protection are cleared.
 
     state: SERVO_STATE (1,); parameters: SERVO_PARAMETERS (1,); counts: int64 (4,), places of the
     encoders; commanded_position: float64 (3,), counts of each motor's position encoder.
@@ -175,9 +176,9 @@ def step(state, parameters, counts, commanded_position, current):
     current: float64 (3,), out, A (peak of the sine in a line), positive drives forward; zero for a
     killed motor. It is the DAC units times `amplifier_peak_current` / 32768.
 
-    A motor is killed by its fatal following error (Ixx11), a full integrator with Ixx63 < 0, or the
-    current protection (Ixx58), together with the others if its Ixx24 says so; `prime` closes the
-    loops again. A motor in the middle of an extended cycle (Ixx60) holds its output.
+    A motor is killed by its fatal following error (Ixx11), a full integrator with Ixx63 < 0, or
+    the current protection (Ixx58), together with the others if its Ixx24 says so; `prime` closes
+    the loops again. A motor in the middle of an extended cycle (Ixx60) holds its output.
     """
     s = state[0]
     p = parameters[0]
@@ -290,8 +291,8 @@ def _deadband(error, width, gain):
     """
     Return the error with its gain changed by `gain` (Ixx64 / 16) inside +-width.
 
-    Continuous: inside, error * (1 + gain); outside, error + gain * width * sign(error), so that the
-    ratio of both tends to one for large errors, as the manual says. Units of `error`.
+    Continuous: inside, error * (1 + gain); outside, error + gain * width * sign(error), so that
+    the ratio of both tends to one for large errors, as the manual says. Units of `error`.
     """
     if error > width:
         return error + gain * width
@@ -327,8 +328,8 @@ def _protect_amplifier(s, p, i):
     """
     Integrate the command of motor i over one servo interrupt, and note a fault above Ixx58.
 
-    With c = command / 32768 and l = Ixx57 / 32768 the integral grows by c^2 - l^2 (Ixx57 >= 0) or by
-    |c| - |l| (Ixx57 < 0) each interrupt, never below zero.
+    With c = command / 32768 and l = Ixx57 / 32768 the integral grows by c^2 - l^2 (Ixx57 >= 0) or
+    by |c| - |l| (Ixx57 < 0) each interrupt, never below zero.
     """
     if p['Ixx58'][i] == 0.0:
         s['current_integral'][i] = 0.0

@@ -66,9 +66,9 @@ def load_settings(
     """
     Read a settings file: YAML if it is called `*.yaml` or `*.yml`, else a listing.
 
-    Raises `UserError` with file, line and key for a file that cannot be read and for any mistake in
-    YAML. In a listing, statements that are unknown or out of range are collected in `problems` and
-    the others hold, because a real configuration always sets more than this servo has.
+    Raises `UserError` with file, line and key for a file that cannot be read and for any mistake
+    in YAML. In a listing, statements that are unknown or out of range are collected in `problems`
+    and the others hold, because a real configuration always sets more than this servo has.
     `encoder_addresses`: see `parse_listing`.
     """
     try:
@@ -98,8 +98,8 @@ def parse_yaml(text: str, source: str) -> SettingsOfAxes:
                 settings[axis] = _checked(document, (*path, axis), axis, values)
     if not settings:
         raise UserError(
-            f'{source}: no settings found; they stand under /**/pmac, ros__parameters and the name '
-            f'of an axis ({", ".join(AXES)})'
+            f'{source}: no settings found; they stand under /**/pmac, ros__parameters and the '
+            f'name of an axis ({", ".join(AXES)})'
         )
     return settings
 
@@ -140,14 +140,14 @@ def parse_listing(text: str, encoder_addresses: Mapping[int, int] | None = None)
     """
     Read the assignments to I-variables out of a listing.
 
-    Anything else, an expression as a value, a variable that this servo does not have, or a value out
-    of its range is put into `problems` with its line, text and reason, and changes nothing. (The
-    controller itself would fold a value that is out of range back into it without a word.) A later
-    assignment replaces an earlier one.
+    Anything else, an expression as a value, a variable that this servo does not have, or a value
+    out of its range is put into `problems` with its line, text and reason, and changes nothing.
+    (The controller itself would fold a value that is out of range back into it without a word.) A
+    later assignment replaces an earlier one.
 
     Ixx03 and Ixx04 hold addresses of the controller's encoder conversion table. Which encoder is
-    behind an address only its owner knows: `encoder_addresses` maps address -> place of the encoder
-    in the contract. The places 0 to 3 themselves are understood as well.
+    behind an address only its owner knows: `encoder_addresses` maps address -> place of the
+    encoder in the contract. The places 0 to 3 themselves are understood as well.
     """
     listing = Listing()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -255,6 +255,6 @@ def _encoder(value: int | float, encoder_addresses: Mapping[int, int]) -> int | 
     if 0 <= value < len(ENCODERS):
         return value
     raise UserError(
-        f'${int(value):X} is an address of the encoder conversion table; say which encoder is there '
+        f'${int(value):X} is an address of the encoder conversion table; say which encoder it is '
         f'({", ".join(f"{place} {name}" for place, name in enumerate(ENCODERS))})'
     )

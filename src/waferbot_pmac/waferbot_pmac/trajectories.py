@@ -11,16 +11,16 @@ Signals (thesis, Fig. 4.2): `constant`, `step`, `bidirectional_step`, `random`, 
 and `multisine`.
 
 Moves (Turbo PMAC User Manual, "Linear Blended Moves" and "Rapid-Mode Moves"). A move along a
-straight line is a piecewise constant velocity, smoothed by an acceleration of the total time TA that
-rises for TS, stays for TA - 2 TS and falls for TS:
+straight line is a piecewise constant velocity, smoothed by an acceleration of the total time TA
+that rises for TS, stays for TA - 2 TS and falls for TS:
 
     peak acceleration = dV / (TA - TS)        jerk = dV / ((TA - TS) TS)
 
 A LINEAR move over a distance d at the speed F has the velocity d / TM for TM = max(d / F, TA), and
-lasts TM + TA. When TM = TA the velocity profile is a triangle. Consecutive LINEAR moves blend: each
-change of velocity is spread over TA around the corner, so corners are rounded. TA is at least 2 TS.
-Limits (Ixx16, Ixx17, Ixx19) lengthen TM, or TA and TS in proportion so that the shape of the profile
-stays; never the path.
+lasts TM + TA. When TM = TA the velocity profile is a triangle. Consecutive LINEAR moves blend:
+each change of velocity is spread over TA around the corner, so corners are rounded. TA is at least
+2 TS. Limits (Ixx16, Ixx17, Ixx19) lengthen TM, or TA and TS in proportion so that the shape of the
+profile stays; never the path.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LIMIT_TOLERANCE = 1e-12
 
 
 def cycle_times(duration_s: float, servo_rate_hz: float) -> Floats:
-    """Return the instants k / servo_rate_hz, in s, of the cycles in `duration_s`; cycle 0 is at 0."""
+    """Return the instants k / servo_rate_hz, in s, of the cycles in `duration_s`, from k = 0."""
     return np.arange(round(duration_s * servo_rate_hz)) / servo_rate_hz
 
 
@@ -46,8 +46,8 @@ def _from(times: Floats, start_s: float) -> NDArray[np.bool_]:
     """
     Tell which cycles are at or after `start_s`.
 
-    A cycle counts as at `start_s` if it is a billionth of a second early, because neither 0.02 s nor
-    45 / 2250 s is a binary fraction.
+    A cycle counts as at `start_s` if it is a billionth of a second early, because neither 0.02 s
+    nor 45 / 2250 s is a binary fraction.
     """
     return np.asarray(times >= start_s - 1e-9)
 
@@ -103,11 +103,11 @@ def swept_sine(
     """
     Sweep a sine logarithmically from the first to the last frequency, from `start_s` to `end_s`.
 
-    With tau = t - start_s, T = end_s - start_s, r = ln(last / first), the phase is
-    2 pi first T / r (exp(r tau / T) - 1); every octave gets the same time. Above
-    `corner_frequency_hz` (0: nowhere) the amplitude falls as 1 / (1 + (f / corner)^2), which keeps the
-    commanded acceleration, and so the current, below amplitude (2 pi corner)^2. `fade_s` at each end
-    is faded in and out by half a cosine. Both frequencies must be positive and different.
+    With tau = t - start_s, T = end_s - start_s, r = ln(last / first), the phase is 2 pi first T /
+    r (exp(r tau / T) - 1); every octave gets the same time. Above `corner_frequency_hz` (0:
+    nowhere) the amplitude falls as 1 / (1 + (f / corner)^2), which keeps the commanded
+    acceleration, and so the current, below amplitude (2 pi corner)^2. `fade_s` at each end is
+    faded in and out by half a cosine. Both frequencies must be positive and different.
     """
     length = end_s - start_s
     rate = np.log(last_frequency_hz / first_frequency_hz)
@@ -138,7 +138,8 @@ def multisine(
 
     Periodic, so a frequency response from whole periods has no leakage. Phases after Schroeder,
     -pi k (k - 1) / K, which keep the crest factor low, or random by `seed` (doubles of PCG64). The
-    sum is scaled so that its largest value in one period is `amplitude`. It starts at `start_s` and is faded in over `fade_s`.
+    sum is scaled so that its largest value in one period is `amplitude`. It starts at `start_s`
+    and is faded in over `fade_s`.
     """
     harmonics = harmonics_between(period_s, first_frequency_hz, last_frequency_hz)
     order = np.arange(1, harmonics.size + 1)
@@ -165,7 +166,7 @@ def harmonics_between(
 
 
 def _peak_of_sines(harmonics: NDArray[np.int64], phases: Floats) -> float:
-    """Return the largest absolute value of a sum of unit sines, on a grid 16 times the last one's."""
+    """Return the largest absolute value of a sum of unit sines (16 points per fastest period)."""
     grid = 16 * int(harmonics[-1])
     spectrum = np.zeros(grid // 2 + 1, dtype=np.complex128)
     spectrum[harmonics] = -0.5j * np.exp(1j * phases) * grid
@@ -173,7 +174,7 @@ def _peak_of_sines(harmonics: NDArray[np.int64], phases: Floats) -> float:
 
 
 def _fade(tau: Floats, length: float, fade_s: float) -> Floats:
-    """Return 0 to 1 over the first `fade_s` of `length`, and back over the last, by half a cosine."""
+    """Return 0 to 1 over the first `fade_s` of `length`, and back over the last: half a cosine."""
     if fade_s <= 0.0:
         return np.ones(tau.shape)
     edge = np.clip(np.minimum(tau, length - tau) / fade_s, 0.0, 1.0)
@@ -212,8 +213,8 @@ class LinearPath:
     """
     A blended sequence of LINEAR moves of several motors, planned and ready to be evaluated.
 
-    `positions` has shape (moves + 1, motors), the corners, the first being the start; `move_times_s`
-    is TM of each move. The whole lasts sum(TM) + TA.
+    `positions` has shape (moves + 1, motors), the corners, the first being the start;
+    `move_times_s` is TM of each move. The whole lasts sum(TM) + TA.
     """
 
     positions: Floats
@@ -283,10 +284,10 @@ def linear(
     corners: (moves + 1, motors). move_times_s: the requested TM of each move, s; 0 asks for the
     fastest that the limits allow. max_velocity (Ixx16) and max_acceleration (Ixx17): per motor.
 
-    TM is lengthened to TA and until no motor exceeds Ixx16; TA and TS are lengthened until no motor
-    exceeds Ixx17, neither at a corner nor in the stop that the controller has to be able to make
-    at the end of each move. One TA and TS, the longest that any corner needs, serves the whole
-    sequence; the controller may choose them move by move.
+    TM is lengthened to TA and until no motor exceeds Ixx16; TA and TS are lengthened until no
+    motor exceeds Ixx17, neither at a corner nor in the stop that the controller has to be able to
+    make at the end of each move. One TA and TS, the longest that any corner needs, serves the
+    whole sequence; the controller may choose them move by move.
     """
     positions = np.array(corners, dtype=np.float64)
     distances = np.abs(np.diff(positions, axis=0))
@@ -341,9 +342,9 @@ def jog(
     Plan a jog of one motor: speed Ixx22, acceleration time Ixx20, S-curve time Ixx21, limit Ixx19.
 
     The acceleration time is that for the full speed even if the move is too short to reach it; a
-    short jog is then a triangle. (The manual computes it from speed and times alone and says no more
-    about short jogs.) Velocity and acceleration in units of position per s and s^2. The controller's
-    calculation time before a jog starts (Ixx92, 10 ms) is not included.
+    short jog is then a triangle. (The manual computes it from speed and times alone and says no
+    more about short jogs.) Velocity and acceleration in units of position per s and s^2. The
+    controller's calculation time before a jog starts (Ixx92, 10 ms) is not included.
     """
     total_s = max(
         requested.total_s,
@@ -365,8 +366,8 @@ def rapid(
     Plan a RAPID move: a jog of every motor, arranged to take about the same time.
 
     Only the motor that needs longest goes at its speed (Ixx16); the others are slowed so that
-    distance / speed is the same for all. Each keeps its own acceleration times, so the path is only
-    roughly straight and the motors stop at slightly different times, as on the controller.
+    distance / speed is the same for all. Each keeps its own acceleration times, so the path is
+    only roughly straight and the motors stop at slightly different times, as on the controller.
     Returns one path per motor. All arguments are per motor.
     """
     distances = [abs(b - a) for a, b in zip(start, end, strict=True)]

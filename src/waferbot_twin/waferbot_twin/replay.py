@@ -32,7 +32,7 @@ from waferbot_plant import plant
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import load_experiment
 
-from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.engines.inprocess import Twin, open_terminals
 from waferbot_twin.metrics import rms
 from waferbot_twin.models import Model
 from waferbot_twin.recording.reader import Recording
@@ -136,6 +136,7 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
             twin.plant_state,
             twin.plant_parameters,
             voltages,
+            recording[PHASE_VOLTAGES]['open'].copy(),
             timing.encoder_divider,
             counts,
             currents,
@@ -200,13 +201,16 @@ def _held(array: np.ndarray, name: str, ticks: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _replay_plant(state, parameters, voltages, encoder_divider, counts_out, current_out):
+def _replay_plant(
+    state, parameters, voltages, open_bridges, encoder_divider, counts_out, current_out
+):
     """Drive the plant by voltages (n, 9); fill counts and line currents (n, 6) as measured."""
     counts = np.zeros(4, np.int64)
     for tick in range(voltages.shape[0]):
         plant.measure(state, parameters, tick, counts, current_out[tick])
         if tick % encoder_divider == 0:
             counts_out[tick // encoder_divider] = counts
+        open_terminals(state, open_bridges[tick])
         plant.advance(state, parameters, voltages[tick])
 
 

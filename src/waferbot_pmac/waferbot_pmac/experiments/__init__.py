@@ -3,8 +3,8 @@
 Experiments: what the axes are commanded to do, as YAML, and the positions that come of it.
 
 The form is given by `experiment.schema.json` beside this file; the shipped experiments are the
-`*.yaml` files here. `load_experiment` reads and checks one, `commanded_positions` turns it into the
-commanded position of every motor in every servo cycle.
+`*.yaml` files here. `load_experiment` reads and checks one, `commanded_positions` turns it into
+the commanded position of every motor in every servo cycle.
 """
 
 from waferbot_pmac.experiments.evaluation import commanded_positions

@@ -27,19 +27,25 @@ def commanded_positions(
     experiment: Experiment, parameters: np.ndarray, servo_rate_hz: float
 ) -> Floats:
     """
-    Return the commanded positions, float64 of shape (cycles, 3), in counts of each position encoder.
+    Return the commanded positions, float64 of shape (cycles, 3), in counts of each position
+    encoder.
 
     Row k belongs to the servo cycle k / `servo_rate_hz` seconds after the start; there are
     duration_s * servo_rate_hz rows, to the nearest whole number. Positions are relative to the
-    commanded positions at the start, zero for an axis that is not named. Steps and random positions
-    are whole counts, moves and sines have fractions, as on the controller.
+    commanded positions at the start, zero for an axis that is not named. Steps and random
+    positions are whole counts, moves and sines have fractions, as on the controller.
 
     `parameters` is a `SERVO_PARAMETERS` array: counts per unit, velocity and acceleration limits.
-    Raises `UserError` with file, line and key for what cannot be commanded: a move that is not over
-    by the end, a velocity that overflows the controller's register, a frequency above half the
-    servo rate.
+    Raises `UserError` with file, line and key for what cannot be commanded: a move that is not
+    over by the end, a velocity that overflows the controller's register, a frequency above half
+    the servo rate.
     """
     times = trajectories.cycle_times(experiment.duration_s, servo_rate_hz)
+    if not times.size:
+        raise UserError(
+            f'{experiment.document.where(("duration_s",))} is shorter than one servo cycle, '
+            f'{1.0 / servo_rate_hz:.6g} s'
+        )
     result = np.zeros((times.size, len(AXES)))
     for axis, motion in experiment.motion.items():
         evaluation = _Motion(experiment, axis, motion, parameters, servo_rate_hz)
@@ -96,9 +102,8 @@ def _acceleration(where: str, mapping: Mapping[str, Any]) -> Acceleration:
 def _check_velocity(where: str, motor: _Motor, velocity: float) -> None:
     if abs(velocity) > motor.velocity_register_limit:
         raise UserError(
-            f'{where}: {abs(velocity):.6g} counts/s on {motor.axis} overflow the velocity register; '
-            f'at Ixx08 = {VELOCITY_REGISTER_LIMIT / motor.velocity_register_limit:.0f} '
-            f'it holds {motor.velocity_register_limit:.6g} counts/s'
+            f'{where}: {abs(velocity):.6g} counts/s overflow the velocity register of '
+            f'{motor.axis}; it holds {motor.velocity_register_limit:.6g} counts/s with this Ixx08'
         )
 
 

@@ -43,8 +43,8 @@ class Experiment:
     """
     One checked experiment.
 
-    Exactly one of `motion` (axis -> motion) and `program` (statements) is not empty; their keys are
-    those of the schema. `text` is the YAML it was read from, to be recorded with a run.
+    Exactly one of `motion` (axis -> motion) and `program` (statements) is not empty; their keys
+    are those of the schema. `text` is the YAML it was read from, to be recorded with a run.
     """
 
     name: str
@@ -69,8 +69,8 @@ def load_experiment(name_or_path_or_text: str | Path) -> Experiment:
     """
     Return the experiment of that name, in that file, or with that YAML text.
 
-    Text is what has a line break or begins with `{`; a name is one of `shipped_experiments`; anything
-    else is a path. Raises `UserError` with file, line and key for what is wrong in it.
+    Text is what has a line break or begins with `{`; a name is one of `shipped_experiments`;
+    anything else is a path. Raises `UserError` with file, line and key for what is wrong in it.
     """
     given = str(name_or_path_or_text)
     if '\n' in given or given.lstrip().startswith('{'):

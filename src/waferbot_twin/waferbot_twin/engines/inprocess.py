@@ -61,7 +61,7 @@ class Signals:
     The signals of a stretch of ticks, one row per message of each topic, SI units or counts.
 
     With n ticks: counts int64 (n_encoder, 4), line_current (n, 6), current_command (n_servo, 3),
-    voltage (n, 9), servo_state (n_servo, 15) in the order of the message's fields; amplifier_* have
+    voltage (n, 9), open_bridges (n,), servo_state (n_servo, 15) in the order of the message's fields; amplifier_* have
     one row per amplifier message; joint_* (n_slow, 3). All begin at tick `first`.
     """
 
@@ -72,6 +72,7 @@ class Signals:
     line_current: np.ndarray = field(init=False)
     current_command: np.ndarray = field(init=False)
     voltage: np.ndarray = field(init=False)
+    open_bridges: np.ndarray = field(init=False)
     servo_state: np.ndarray = field(init=False)
     amplifier_tick: np.ndarray = field(init=False)
     amplifier_axes: np.ndarray = field(init=False)
@@ -91,6 +92,7 @@ class Signals:
         self.line_current = np.zeros((self.ticks, 2 * axes))
         self.current_command = np.zeros((servo_rows, axes))
         self.voltage = np.zeros((self.ticks, 3 * axes))
+        self.open_bridges = np.zeros(self.ticks, np.uint8)
         self.servo_state = np.zeros((servo_rows, 5 * axes))
         self.amplifier_tick = np.zeros(self.ticks, np.int64)
         self.amplifier_axes = np.zeros(self.ticks, np.int64)
@@ -174,6 +176,7 @@ class Twin:
             signals.line_current,
             signals.current_command,
             signals.voltage,
+            signals.open_bridges,
             signals.servo_state,
             signals.amplifier_tick,
             signals.amplifier_axes,
@@ -242,7 +245,7 @@ class SignalRecorder:
             (PHASE_CURRENTS, every, ALL_AXES, (signals.line_current,)),
             (CURRENT_COMMAND, signals.servo_ticks, ALL_AXES, (signals.current_command,)),
             (SERVO_STATE, signals.servo_ticks, ALL_AXES, servo_values),
-            (PHASE_VOLTAGES, every, ALL_AXES, (signals.voltage,)),
+            (PHASE_VOLTAGES, every, ALL_AXES, (signals.voltage, signals.open_bridges)),
             (
                 AMPLIFIER_STATE,
                 signals.amplifier_tick[:amplifier_rows],
@@ -265,7 +268,7 @@ class SignalRecorder:
                 else (0, 0)
             )
             records['valid'] = valid
-            names = [name for name in records.dtype.names or () if records.dtype[name].shape]
+            names = self._wire[topic].value_fields
             for name, column in zip(names, values, strict=True):
                 records[name] = column
             name = f'/{topic.name}'
@@ -292,6 +295,14 @@ class SignalRecorder:
 
 
 @compiled
+def open_terminals(plant_state, mask):
+    """Open the terminals of the motors whose bit is set in `mask`, connect the others."""
+    terminals = plant_state[0]['terminals_open']
+    for axis in range(terminals.shape[0]):
+        terminals[axis] = mask >> axis & 1
+
+
+@compiled
 def _advance(
     first,
     ticks,
@@ -311,6 +322,7 @@ def _advance(
     line_current_out,
     command_out,
     voltage_out,
+    open_out,
     servo_out,
     amplifier_tick,
     amplifier_axes,
@@ -372,6 +384,7 @@ def _advance(
         amplifier.step(
             amplifier_state, amplifier_parameters, 7, current, line_current, counts, voltage
         )
+        open_out[row] = amplifier.open_bridges(amplifier_state)
         axes = 7 if tick % SLOW_DIVIDER == 0 else amplifier.changed(amplifier_state)
         if axes:
             amplifier.report(
@@ -389,5 +402,6 @@ def _advance(
             amplifier_tick[amplifier_row] = tick
             amplifier_axes[amplifier_row] = axes
             amplifier_row += 1
+        open_terminals(plant_state, open_out[row])
         plant.advance(plant_state, plant_parameters, voltage)
     amplifier_messages[0] = amplifier_row

@@ -52,8 +52,10 @@ class Player(LockstepNode):
         )
         self.ticks = ticks
         self._tick = 0
+        # Within a tick the plant speaks first; to every other node the player does.
+        self._plays_first = node != 'plant'
         self._inputs = {
-            topic: (recording[topic][FIELDS[topic][0]].tolist(), topic.ticks_between(self.timing))
+            topic: (_values(recording[topic], topic), topic.ticks_between(self.timing))
             for topic in SPOKEN_FOR[node]
         }
         self.answers = {
@@ -69,9 +71,10 @@ class Player(LockstepNode):
         return self._tick
 
     def begin(self) -> None:
-        """Send the inputs of tick 0."""
+        """Send the inputs of tick 0, if it is the player's turn."""
         super().begin()
-        self._play()
+        if self._plays_first:
+            self._play()
 
     def on_input(self, topic: Topic) -> None:
         """Keep an answer; go on when all answers of this tick are there."""
@@ -83,10 +86,12 @@ class Player(LockstepNode):
                     records['tick'][row] = self._tick
                     records[FIELDS[answer_topic][0]][row] = inbox.values
                     inbox.consumed()
+            if not self._plays_first:
+                self._play()
             self._tick += 1
             if self._tick >= self.ticks:
                 self.finish()
-            else:
+            elif self._plays_first:
                 self._play()
 
     def _answered(self) -> bool:
@@ -149,6 +154,14 @@ def replay_over_ros(
         for topic in OUTPUTS[node]
         for difference in compare(topic, _until(recording[topic], ticks), player.answers[topic])
     ]
+
+
+def _values(array: np.ndarray, topic: Topic) -> list[list[float]]:
+    """Return all that follows `valid` in each message, as `give` takes it."""
+    rows: list[list[float]] = array[FIELDS[topic][0]].tolist()
+    if topic.mask:
+        return [[*row, mask] for row, mask in zip(rows, array[topic.mask].tolist(), strict=True)]
+    return rows
 
 
 def _until(array: np.ndarray, ticks: int) -> np.ndarray:

@@ -146,6 +146,9 @@ def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
     for place in range(places):
         given = (records['valid'] >> place & 1).astype(bool)
         merged['valid'][row[given]] |= 1 << place
+        if topic.mask:
+            bit = records[topic.mask][given] & (1 << place)
+            merged[topic.mask][row[given]] |= bit
         for name in fields:
             width = records.dtype[name].shape[0] // places
             columns = slice(place * width, (place + 1) * width)

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Motors: Kirchhoff, power balance, force constant, delta against wye, exact circuit solution."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import plant_machines as machines
+import pytest
+from scipy.linalg import expm
+
+from waferbot_plant import motors, plant
+from waferbot_plant.plant import load_machine
+
+
+def motor_on_slide(winding: str, **more):
+    """Return a machine of one linear motor on a horizontal mass."""
+    return load_machine(
+        machines.write_single_mass(
+            gravity_m_s2=[0, 0, 0],
+            motors={
+                'y_linear': {
+                    'coordinate': 'travel',
+                    'winding': winding,
+                    'resistance_lead_to_lead_ohm': 2.0,
+                    'inductance_lead_to_lead_h': 0.012,
+                    'back_emf_lead_to_lead_v_s_m': 127.0,
+                    'electrical_cycle_m': 0.032,
+                }
+            },
+            **more,
+        )
+    )
+
+
+@pytest.mark.parametrize('winding', ['wye', 'delta'])
+@pytest.mark.parametrize('position', [0.0, 0.003, -0.0137, 0.4])
+def test_phased_line_currents_give_the_largest_positive_force(winding: str, position: float) -> None:
+    machine = motor_on_slide(winding)
+    parameters = machine.parameters()
+    amplitude = 7.0
+    expected = math.sqrt(3.0) / 2.0 * 127.0 * amplitude
+    description = machine.description.motors['y_linear']
+    assert motors.force_constant(description) * amplitude == pytest.approx(expected, rel=1e-14)
+    angle = 2.0 * math.pi * position / 0.032
+
+    def mean_force(advance_angle: float) -> float:
+        state = machine.initial_state(parameters)
+        state[0]['position'][0] = position
+        lines = [amplitude * math.sin(angle + advance_angle - 2 * math.pi / 3 * k) for k in (0, 1)]
+        motors.set_line_currents(state, parameters, 0, tuple(lines))
+        measured = np.zeros(6)
+        motors.measure_line_currents(state[0], parameters[0], measured)
+        assert measured[:2] == pytest.approx(lines, rel=1e-13, abs=1e-13)
+        motors.begin_step(state[0], parameters[0], state[0]['position'], np.zeros(9), 1e-12)
+        return motors.force_and_damping(state[0], parameters[0], 0)[0]
+
+    assert mean_force(0.0) == pytest.approx(expected, rel=1e-8)
+    assert mean_force(0.3) == pytest.approx(expected * math.cos(0.3), rel=1e-8)
+    assert mean_force(-0.3) == pytest.approx(expected * math.cos(0.3), rel=1e-8)
+
+
+def test_delta_and_wye_of_the_same_data_sheet_are_the_same_at_the_terminals() -> None:
+    """Equal lead-to-lead data: line currents and motion agree, tick by tick."""
+    runs = []
+    for winding in ('delta', 'wye'):
+        machine = motor_on_slide(winding)
+        parameters = machine.parameters()
+        state = machine.initial_state(parameters)
+        voltage = np.zeros(9)
+        lines = np.zeros(6)
+        record = []
+        for tick in range(3000):
+            for phase in range(3):
+                voltage[phase] = 20.0 * math.sin(0.004 * tick - 2.0 * math.pi / 3.0 * phase) + 3.0
+            plant.advance(state, parameters, voltage)
+            motors.measure_line_currents(state[0], parameters[0], lines)
+            record.append([*lines[:2], state[0]['position'][0], state[0]['velocity'][0]])
+        runs.append(np.array(record))
+    scale = np.abs(runs[0]).max(axis=0)
+    assert (np.abs(runs[0] - runs[1]).max(axis=0) / scale).max() < 1e-10
+
+
+def test_star_point_carries_no_current() -> None:
+    """Kirchhoff (3.15), under voltages that are not balanced."""
+    seed = 7
+    print('seed', seed)
+    random = np.random.default_rng(seed)
+    machine = motor_on_slide('wye')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    for _ in range(500):
+        plant.advance(state, parameters, random.uniform(-160.0, 160.0, 9))
+        current = state[0]['winding_current'][0]
+        assert abs(current.sum()) < 1e-12 * max(1.0, np.abs(current).max())
+
+
+def test_circulating_current_of_a_delta_decays_with_its_time_constant() -> None:
+    machine = motor_on_slide('delta')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    state[0]['winding_current'][0] = 5.0
+    for _ in range(180):
+        plant.advance(state, parameters, np.zeros(9))
+    assert state[0]['winding_current'][0] == pytest.approx([5.0 * math.exp(-0.01 * 2.0 / 0.012)] * 3, rel=1e-4)
+    assert state[0]['velocity'][0] == pytest.approx(0.0, abs=1e-12)
+    lines = np.ones(6)
+    motors.measure_line_currents(state[0], parameters[0], lines)
+    assert lines[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_locked_rotor_current_follows_the_exact_circuit() -> None:
+    """A held wye motor is R and L: step response against the matrix exponential."""
+    machine = motor_on_slide('wye')
+    parameters = machine.parameters()
+    parameters[0]['mass'][0] = 1e12
+    parameters[0]['substeps'] = 8
+    parameters[0]['step'] /= 8
+    state = machine.initial_state(parameters)
+    voltage = np.zeros(9)
+    voltage[:3] = [30.0, -10.0, -10.0]
+    ticks = 90
+    for _ in range(ticks):
+        plant.advance(state, parameters, voltage)
+    time = ticks / 18000
+    resistance, inductance = 1.0, 0.006
+    across = voltage[:3] - voltage[:3].mean()
+    decay = expm(np.array([[-resistance / inductance * time]]))[0, 0]
+    expected = across / resistance * (1.0 - decay)
+    assert state[0]['winding_current'][0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize('winding', ['wye', 'delta'])
+def test_electrical_power_becomes_heat_and_motion(winding: str) -> None:
+    """Energy taken from the amplifier = copper loss + magnetic + kinetic, to rounding."""
+    machine = motor_on_slide(winding)
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    voltage = np.zeros(9)
+    for tick in range(9000):
+        for phase in range(3):
+            voltage[phase] = 40.0 * math.sin(0.002 * tick - 2.0 * math.pi / 3.0 * phase)
+        plant.advance(state, parameters, voltage)
+    stored = np.zeros(4)
+    plant.energy(state, parameters, stored)
+    s = state[0]
+    assert abs(s['electrical_energy'][0]) > 1.0
+    balance = s['electrical_energy'][0] - s['copper_loss'][0] - stored.sum()
+    assert abs(balance) < 1e-9 * s['electrical_energy'][0]
+
+
+def test_open_terminals_carry_no_current_and_brake_nothing() -> None:
+    machine = motor_on_slide('delta')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    motors.set_line_currents(state, parameters, 0, (4.0, -1.0))
+    state[0]['terminals_open'][0] = 1
+    state[0]['velocity'][0] = 0.5
+    stored = np.zeros(4)
+    plant.energy(state, parameters, stored)
+    before = stored.sum()
+    for _ in range(100):
+        plant.advance(state, parameters, np.full(9, 50.0))
+    assert state[0]['velocity'][0] == 0.5
+    lines = np.ones(6)
+    motors.measure_line_currents(state[0], parameters[0], lines)
+    assert lines[:2] == pytest.approx([0.0, 0.0], abs=1e-15)
+    plant.energy(state, parameters, stored)
+    given_back = -state[0]['electrical_energy'][0]
+    assert before - stored.sum() == pytest.approx(given_back, rel=1e-12)
+
+
+def test_shorted_motor_brakes() -> None:
+    """With shorted terminals a moving motor turns motion into heat; nothing else."""
+    machine = motor_on_slide('wye')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    state[0]['velocity'][0] = 0.2
+    for _ in range(18000):
+        plant.advance(state, parameters, np.zeros(9))
+    assert abs(state[0]['velocity'][0]) < 1e-6
+    assert state[0]['copper_loss'][0] == pytest.approx(0.5 * 2.0 * 0.2**2, rel=1e-9)

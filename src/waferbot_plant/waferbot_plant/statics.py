@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Statics: where the machine rests when its axes are held, and what holds it.
+
+With the axes at given positions, all other coordinates are where springs and gravity balance, and the
+motors' forces F are what is left over on their coordinates:
+
+    springs(z) + gravity(z) + B F = 0,     z of the axes given.
+
+Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope; gravity
+changes the slope by parts in a thousand, so that each iteration gains about three digits. Dry
+friction is left out: it could hold more or less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+
+from waferbot_plant import elements, motors, plant
+from waferbot_plant.plant import Machine
+
+_ITERATIONS = 60
+
+
+def settle(
+    machine: Machine,
+    state: NDArray[np.void],
+    parameters: NDArray[np.void],
+    positions: Mapping[str, float],
+    holding: bool,
+) -> None:
+    """
+    Put `state` at rest with the axes at `positions` (m, rad; home where not given).
+
+    With `holding`, the windings get the currents that hold it. Raises `UserError` for an unknown axis,
+    and where holding is asked of an axis that has no motor.
+    """
+    description = machine.description
+    for axis in positions:
+        if axis not in description.axes:
+            raise UserError(
+                f'{description.name} has no axis {axis!r}{did_you_mean(axis, description.axes)}'
+            )
+    s = state[0]
+    s['velocity'] = 0.0
+    s['position'] = _with_axes_at(machine, positions)
+    forces = _balance(machine, state, parameters, holding or any(positions.values()))
+    s['winding_current'] = 0.0
+    if not holding:
+        return
+    for axis, force in forces.items():
+        motor = description.motors[axis]
+        amplitude = force / motors.force_constant(motor)
+        place = AXES.index(axis)
+        row, ratio = machine.assembly.placing[motor.coordinate]
+        angle = motor.electrical_gain * ratio * s['position'][row]
+        lines = amplitude * np.sin(angle - 2.0 * np.pi / 3.0 * np.arange(2))
+        motors.set_line_currents(state, parameters, place, (float(lines[0]), float(lines[1])))
+
+
+def holding_forces(
+    machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the force (N) or torque (Nm) of each motor that holds the axes at `positions`."""
+    state = np.zeros(1, machine.state_dtype)
+    state[0]['position'] = _with_axes_at(machine, positions)
+    return _balance(machine, state, parameters, True)
+
+
+def holding_currents(
+    machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
+) -> dict[str, float]:
+    """Return the current command, A peak of sine, that holds each axis at `positions`."""
+    forces = holding_forces(machine, parameters, positions)
+    return {
+        axis: force / motors.force_constant(machine.description.motors[axis])
+        for axis, force in forces.items()
+    }
+
+
+def reactions(
+    machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void]
+) -> dict[str, float]:
+    """
+    Return the force of every flexible element at a state, by name: N of cables, N or Nm of springs.
+
+    Positive where a deflection in the positive sense would load the spring, and for tension.
+    """
+    s, p = state[0], parameters[0]
+    elements.judge_cables(s, p, s['position'], s['velocity'])
+    found = {
+        element.name: elements.spring_force(p, place, s['position'], s['velocity'])
+        for place, element in enumerate(machine.assembly.springs)
+        if element.connections
+    }
+    for place, element in enumerate(machine.assembly.cables):
+        found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
+    return found
+
+
+def elastic_stiffness(machine: Machine) -> NDArray[np.float64]:
+    """Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad."""
+    size = len(machine.coordinates)
+    stiffness = np.zeros((size, size))
+    for element in (*machine.assembly.springs, *machine.assembly.cables):
+        arms = np.zeros(size)
+        for place, ratio in element.terms:
+            arms[place] += ratio
+        stiffness += element.stiffness * np.outer(arms, arms)
+    return stiffness
+
+
+def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[np.float64]:
+    """Return z with the axes at their positions and what is driven or driving along with them."""
+    position = np.zeros(len(machine.coordinates))
+    known = set()
+    for axis, coordinate in machine.description.axes.items():
+        place, ratio = machine.assembly.placing[coordinate]
+        position[place] = positions.get(axis, 0.0) / ratio
+        known.add(coordinate)
+    transmissions = list(machine.description.transmissions.values())
+    for _ in transmissions:
+        for transmission in transmissions:
+            ends = transmission.driving, transmission.driven
+            for (one, other), factor in ((ends, transmission.ratio), (ends[::-1], 1 / transmission.ratio)):
+                if one in known and other not in known:
+                    place, ratio = machine.assembly.placing[one]
+                    value = position[place] * ratio * factor
+                    place, ratio = machine.assembly.placing[other]
+                    position[place] = value / ratio
+                    known.add(other)
+    return position
+
+
+def _balance(
+    machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void], needed: bool
+) -> dict[str, float]:
+    """Move what gives in `state` to equilibrium and return the motors' forces; see the module."""
+    description = machine.description
+    placing = machine.assembly.placing
+    size = len(machine.coordinates)
+    held = {placing[coordinate][0] for coordinate in description.axes.values()}
+    free = [row for row in range(size) if row not in held]
+    axes = [axis for axis in description.axes if axis in description.motors]
+    arms = np.zeros((size, len(axes)))
+    for column, axis in enumerate(axes):
+        row, ratio = placing[description.motors[axis].coordinate]
+        arms[row, column] = ratio
+    stiffness = elastic_stiffness(machine)
+    slope = np.hstack([stiffness[:, free], -arms])
+    if not needed and not free:
+        return {}
+    forces = np.zeros(len(axes))
+    residual = np.zeros(size)
+    for _ in range(_ITERATIONS):
+        plant.generalised_forces(state, parameters, residual)
+        unbalanced = residual + arms @ forces
+        correction, _, rank, _ = np.linalg.lstsq(slope, unbalanced, rcond=1e-14)
+        if rank < slope.shape[1] or np.abs(slope @ correction - unbalanced).max() > 1e-6 * (
+            1.0 + np.abs(unbalanced).max()
+        ):
+            if not needed:
+                return {}
+            raise UserError(
+                f'{description.name}: no static equilibrium; a coordinate is held neither by a motor '
+                'nor by a spring'
+            )
+        state[0]['position'][free] += correction[: len(free)]
+        forces += correction[len(free) :]
+        if np.abs(unbalanced).max() < 1e-10 * (1.0 + np.abs(residual).max()):
+            break
+    return dict(zip(axes, forces.tolist(), strict=True))
