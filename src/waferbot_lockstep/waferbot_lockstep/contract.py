@@ -25,7 +25,7 @@ ALL_ENCODERS = 0b1111
 SLOW_DIVIDER = 180
 """Ticks between two messages on the slow topics (100 Hz at 18 kHz)."""
 
-HISTORY_DEPTH = 64
+HISTORY_DEPTH = 1024
 """Depth of the reliable, volatile, keep-last history of the lock-step topics, in messages."""
 
 
@@ -81,6 +81,15 @@ REPORT_TOPICS = (SERVO_STATE, AMPLIFIER_STATE)
 """The topics that only tell what a controller did; `amplifier_state` is sent slowly and on change."""
 
 CONTRACT_TOPICS = LOCKSTEP_TOPICS + REPORT_TOPICS
+
+RECORDED_TOPIC = 'recorded'
+"""Topic on which a recorder says how far it has come (`waferbot_msgs/msg/Recorded`)."""
+
+RECORDER_WINDOW = 256
+"""
+Ticks that the plant may be ahead of a recorder. No topic has more messages in as many ticks than
+HISTORY_DEPTH, so a reliable publisher never drops one that the recorder has not received.
+"""
 
 STOP_TOPIC = 'stop'
 """Topic on which a node that leaves the lock-step says why (`waferbot_msgs/msg/Stop`)."""

@@ -148,6 +148,9 @@ class LockstepNode(Node):
     def on_time(self) -> None:
         """Act on the passing of wall time (only nodes that keep real time)."""
 
+    def watch(self, now_s: float) -> None:
+        """Watch, ten times a second, for whatever else could be missing; `now_s` is monotonic."""
+
     # ---- life ------------------------------------------------------------------------------------
 
     def begin(self) -> None:
@@ -234,7 +237,9 @@ class LockstepNode(Node):
             for publisher, message in self._last_messages.items():
                 publisher.publish(message)
         self._seen_progress = self._progress
-        self._watch_peers(time.monotonic())
+        now_s = time.monotonic()
+        self._watch_peers(now_s)
+        self.watch(now_s)
 
     def _watch_peers(self, now_s: float) -> None:
         for topic, inbox in self.inboxes.items():

@@ -12,8 +12,12 @@ import yaml
 
 from waferbot_plant.plant import Machine
 
-NO_LOSSES: dict[str, Any] = {'frictions': None, 'dampers': None}
-"""An overlay without friction and viscous damping."""
+
+def remove_losses(parameters: Any) -> None:
+    """Take all friction and damping out of a machine's parameters, in place."""
+    parameters[0]['friction_resistance'] = 0.0
+    parameters[0]['spring_damping'] = 0.0
+    parameters[0]['cable_damping'] = 0.0
 
 
 def write(description: dict[str, Any]) -> Path:
@@ -79,26 +83,28 @@ def two_slides(**more: Any) -> dict[str, Any]:
 
 def write_pendulum(**more: Any) -> Path:
     """Write a physical pendulum about z that hangs down at home."""
-    return write({
-        'name': 'pendulum',
-        'bodies': {
-            'bob': {
-                'mass_kg': 1.5,
-                'centre_of_gravity_m': [0, -0.4, 0],
-                'inertia_kg_m2': {'xx': 0.03, 'yy': 0.01, 'zz': 0.025},
-            }
-        },
-        'joints': {
-            'pivot': {
-                'parent': 'base',
-                'child': 'bob',
-                'at_m': [0, 0, 0],
-                'freedoms': {'swing': {'type': 'revolute', 'axis': [0, 0, 1]}},
-            }
-        },
-        'axes': {'x_rotate': 'swing'},
-        **more,
-    })
+    return write(
+        {
+            'name': 'pendulum',
+            'bodies': {
+                'bob': {
+                    'mass_kg': 1.5,
+                    'centre_of_gravity_m': [0, -0.4, 0],
+                    'inertia_kg_m2': {'xx': 0.03, 'yy': 0.01, 'zz': 0.025},
+                }
+            },
+            'joints': {
+                'pivot': {
+                    'parent': 'base',
+                    'child': 'bob',
+                    'at_m': [0, 0, 0],
+                    'freedoms': {'swing': {'type': 'revolute', 'axis': [0, 0, 1]}},
+                }
+            },
+            'axes': {'x_rotate': 'swing'},
+            **more,
+        }
+    )
 
 
 def axes_and_motors(machine: Machine) -> set[str]:
@@ -115,7 +121,8 @@ class MujocoTwin:
     The same machine in MuJoCo, built from the description's bodies, not from our links.
 
     Every freedom is a joint with its spring and damper in MuJoCo's own terms; rotors are bodies
-    with armature on hinges of their own; what a rigid transmission ties is put in by the projection
+    with armature on hinges of their own; what a rigid transmission ties is put in by the
+    projection
     q = B z on MuJoCo's full mass matrix and bias, so that no soft constraint enters.
     """
 
@@ -150,7 +157,11 @@ class MujocoTwin:
             for freedom in joint.freedoms:
                 if freedom.connections and not flexible.intersection(freedom.connections):
                     continue
-                kind = mujoco.mjtJoint.mjJNT_HINGE if freedom.revolute else mujoco.mjtJoint.mjJNT_SLIDE
+                kind = (
+                    mujoco.mjtJoint.mjJNT_HINGE
+                    if freedom.revolute
+                    else mujoco.mjtJoint.mjJNT_SLIDE
+                )
                 added = child.add_joint(
                     name=freedom.name, type=kind, axis=freedom.axis, pos=[0.0, 0.0, 0.0]
                 )
@@ -219,7 +230,7 @@ class MujocoTwin:
 
 
 def _first(current: Any, value: float) -> Any:
-    """Return `value` in the shape that this version of MuJoCo keeps it in (a number, or a polynomial)."""
+    """Return `value` as this version of MuJoCo keeps it: a number, or a polynomial."""
     if np.ndim(current) == 0:
         return value
     filled = np.zeros(np.shape(current))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction that truly sticks, and cables that only pull, against exact and event-driven motion."""
+"""Friction that truly sticks and cables that only pull, against exact and event-driven motion."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def _drawn_mass(substeps: int):
 
 
 def _event_driven(duration: float) -> tuple[list[float], float]:
-    """Return the breakaway times and final position of the same mass, by events, tight tolerance."""
+    """Return the breakaway times and final position of the same mass, found by events."""
 
     def resistance(speed: float) -> float:
         return float(np.interp(speed, [0, 0.05, 0.5], [6.0, 4.0, 5.0]))
@@ -155,7 +155,13 @@ def _event_driven(duration: float) -> tuple[list[float], float]:
         stop.terminal = True
         stop.direction = -1
         motion = solve_ivp(
-            slip, (time, duration), [position, 0.0], events=stop, rtol=1e-11, atol=1e-14, max_step=1e-3
+            slip,
+            (time, duration),
+            [position, 0.0],
+            events=stop,
+            rtol=1e-11,
+            atol=1e-14,
+            max_step=1e-3,
         )
         position = float(motion.y[0, -1])
         time = float(motion.t[-1])
@@ -213,7 +219,7 @@ def test_two_frictions_on_one_coordinate_share_the_loss() -> None:
 
 
 def test_machine_at_rest_in_its_bearings_does_not_creep() -> None:
-    """Held by motors within friction, nothing moves: zero to the last bit on every sliding axis."""
+    """Balanced within friction, nothing moves: zero to the last bit on every sliding axis."""
     machine = load_machine('flexible')
     parameters = machine.parameters()
     state = machine.initial_state(parameters)

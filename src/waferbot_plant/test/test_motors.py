@@ -36,7 +36,9 @@ def motor_on_slide(winding: str, **more):
 
 @pytest.mark.parametrize('winding', ['wye', 'delta'])
 @pytest.mark.parametrize('position', [0.0, 0.003, -0.0137, 0.4])
-def test_phased_line_currents_give_the_largest_positive_force(winding: str, position: float) -> None:
+def test_phased_line_currents_give_the_largest_positive_force(
+    winding: str, position: float
+) -> None:
     machine = motor_on_slide(winding)
     parameters = machine.parameters()
     amplitude = 7.0
@@ -103,7 +105,9 @@ def test_circulating_current_of_a_delta_decays_with_its_time_constant() -> None:
     state[0]['winding_current'][0] = 5.0
     for _ in range(180):
         plant.advance(state, parameters, np.zeros(9))
-    assert state[0]['winding_current'][0] == pytest.approx([5.0 * math.exp(-0.01 * 2.0 / 0.012)] * 3, rel=1e-4)
+    assert state[0]['winding_current'][0] == pytest.approx(
+        [5.0 * math.exp(-0.01 * 2.0 / 0.012)] * 3, rel=1e-4
+    )
     assert state[0]['velocity'][0] == pytest.approx(0.0, abs=1e-12)
     lines = np.ones(6)
     motors.measure_line_currents(state[0], parameters[0], lines)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant: mechanism, motors and encoders of the robot, as compiled functions over a description."""
+"""The plant: mechanism, motors and encoders, as compiled functions over a description."""

@@ -2,14 +2,14 @@
 """
 From a description to arrays: links, minimal coordinates, elements.
 
-What is rigid goes away here, once, when a description is loaded: bodies that cannot move against each
-other are merged, a rigid transmission makes two coordinates one, and what is left is a tree of links
-with one freedom each over the minimal coordinates z.
+What is rigid goes away here, once, when a description is loaded: bodies that cannot move against
+each other are merged, a rigid transmission makes two coordinates one, and what is left is a tree
+of links with one freedom each over the minimal coordinates z.
 
 Deflections of connections are counted from the static equilibrium at the home pose: a machine is
-aligned under its own weight, and a secant stiffness means nothing far from the load that it was taken
-at. Every spring therefore carries, undeflected, the weight that hangs on it at home (with the axes held
-by their motors), and a cable is stretched by it.
+aligned under its own weight, and a secant stiffness means nothing far from the load that it was
+taken at. Every spring therefore carries, undeflected, the weight that hangs on it at home (with
+the axes held by their motors), and a cable is stretched by it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
-
 from waferbot_plant.description import BASE, Connection, Description, Freedom, Transmission
 
 Vector = NDArray[np.float64]
@@ -63,8 +62,10 @@ class Assembly:
     """
     A machine in minimal coordinates.
 
-    `coordinates` names z in order; `placing` gives for every coordinate of the description that can
-    move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no stiffness.
+    `coordinates` names z in order; `placing` gives for every coordinate of the description that
+    can
+    move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no
+    stiffness.
     """
 
     description: Description
@@ -160,7 +161,9 @@ def _reduce(
     placing: dict[str, tuple[int, float]] = {}
     for name in names:
         group = groups[name]
-        leader = min(group, key=lambda member: (member not in description.axes.values(), rank[member]))
+        leader = min(
+            group, key=lambda member: (member not in description.axes.values(), rank[member])
+        )
         if leader not in coordinates:
             coordinates.append(leader)
         placing[name] = coordinates.index(leader), group[name] / group[leader]
@@ -182,7 +185,8 @@ class Behaviour:
     """
     How the elastic parts of a machine behave by themselves, whatever else is switched rigid.
 
-    Taken from the machine at home with every connection flexible: the mass matrix, the weight on each
+    Taken from the machine at home with every connection flexible: the mass matrix, the weight on
+    each
     coordinate, and from them each connection's stiffness, damping and first frequency.
     """
 
@@ -253,9 +257,7 @@ class Behaviour:
         for name, part in self.description.connections.items():
             if name in self.freedom_of:
                 frequencies[name] = self.freedom_frequency(part)
-        return {
-            name: frequencies[name] / (2.0 * math.pi) for name in self.description.connections
-        }
+        return {name: frequencies[name] / (2.0 * math.pi) for name in self.description.connections}
 
     def damping(self, connection: Connection, stiffness: float, frequency: float) -> float:
         """Return the viscous damping of a part, structural damping by b = eta k / omega (5.5)."""
@@ -303,12 +305,11 @@ def in_series(parts: list[tuple[float, float]]) -> tuple[float, float]:
     Return stiffness and damping of spring-dampers in series, from (stiffness, damping) of each.
 
     1/k = sum of 1/k_j. The damping is that which loses the same energy when the parts share the
-    deflection as their springs do, d = k^2 sum of d_j / k_j^2; good while omega d is small against k.
+    deflection as their springs do, d = k^2 sum of d_j / k_j^2; good while omega d is small against
+    k.
     """
     stiffness = 1.0 / sum(1.0 / part_stiffness for part_stiffness, _ in parts)
-    damping = sum(
-        part_damping / part_stiffness**2 for part_stiffness, part_damping in parts
-    )
+    damping = sum(part_damping / part_stiffness**2 for part_stiffness, part_damping in parts)
     return stiffness, stiffness**2 * damping
 
 
@@ -326,13 +327,17 @@ def _held_freedoms(
                 description.connections[name] for name in freedom.connections if name in flexible
             ]
             if soft:
-                stiffness, damping = in_series([
-                    (
-                        part.stiffness,
-                        behaviour.damping(part, part.stiffness, behaviour.freedom_frequency(part)),
-                    )
-                    for part in soft
-                ])
+                stiffness, damping = in_series(
+                    [
+                        (
+                            part.stiffness,
+                            behaviour.damping(
+                                part, part.stiffness, behaviour.freedom_frequency(part)
+                            ),
+                        )
+                        for part in soft
+                    ]
+                )
                 names = tuple(part.name for part in soft)
                 rest = -behaviour.weight_on(freedom.name) / stiffness
                 term = placing[freedom.name]
@@ -348,7 +353,8 @@ def stages_seen_at_output(
     """
     Return the flexible connections of a transmission with their stiffness seen at its driven end.
 
-    A stage deflects by `lever` times its motion out, so that it has the stiffness k lever^2 there; a
+    A stage deflects by `lever` times its motion out, so that it has the stiffness k lever^2 there;
+    a
     following stage of ratio r makes it k lever^2 / r^2.
     """
     seen = []
@@ -375,9 +381,12 @@ def _soft_transmissions(
             continue
         total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]
         frequency = behaviour.transmission_frequency(transmission, total)
-        stiffness, damping = in_series([
-            (stiffness, behaviour.damping(part, stiffness, frequency)) for part, stiffness in seen
-        ])
+        stiffness, damping = in_series(
+            [
+                (stiffness, behaviour.damping(part, stiffness, frequency))
+                for part, stiffness in seen
+            ]
+        )
         driving, driving_ratio = placing[transmission.driving]
         driven, driven_ratio = placing[transmission.driven]
         elements.append(
@@ -394,9 +403,7 @@ def _soft_transmissions(
     return elements
 
 
-def _dampers(
-    description: Description, placing: dict[str, tuple[int, float]]
-) -> list[Element]:
+def _dampers(description: Description, placing: dict[str, tuple[int, float]]) -> list[Element]:
     """Return the viscous dampers, as springs without stiffness."""
     return [
         Element(damper.name, (), (placing[damper.coordinate],), 0.0, damper.damping, 0.0, False)

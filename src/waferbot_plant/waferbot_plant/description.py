@@ -3,9 +3,9 @@
 The machine as data: what a description file says, checked, in SI units.
 
 A description is a YAML file of bodies, joints, rotors, transmissions, connections, friction,
-motors and encoders; `description.schema.json` is its grammar, and units are in the keys. Positions,
-axes and inertia tensors are given in the base frame (y up) at the **home pose**, in which every
-coordinate is zero; so no chain of frames has to be worked out by hand.
+motors and encoders; `description.schema.json` is its grammar, and units are in the keys.
+Positions, axes and inertia tensors are given in the base frame (y up) at the **home pose**, in
+which every coordinate is zero; so no chain of frames has to be worked out by hand.
 
 - A **joint** lets a child body move against its parent, through freedoms one after another. A
   freedom `held_by` connections is no axis of the machine but the give of a part.
@@ -28,6 +28,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,6 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-
 from waferbot_plant import part_library
 from waferbot_plant.marked_yaml import Document, Key, merge, read
 from waferbot_plant.part_library import Carried
@@ -56,7 +56,7 @@ _UNITS = {False: ('m', 'n', 'n_m', 'n_s_m'), True: ('rad', 'nm', 'nm_rad', 'nm_s
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: mass in kg, centre of gravity in m and tensor about it in kg m2 (base frame)."""
+    """A rigid body: mass in kg, centre of gravity in m, tensor about it in kg m2 (base frame)."""
 
     name: str
     mass: float
@@ -140,7 +140,8 @@ class Connection:
     An elastic part: stiffness in N/m or Nm/rad, and its damping.
 
     Damping is either viscous (`damping`, N s/m or Nm s/rad) or structural (`loss_factor`), which
-    becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that, the
+    becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
+    the
     coordinates `free` may follow; in a joint, all others are held.
     """
 
@@ -156,7 +157,8 @@ class Connection:
 @dataclass(frozen=True)
 class Friction:
     """
-    Dry friction on a coordinate: resistance (N or Nm) over speed (m/s or rad/s), both from zero up.
+    Dry friction on a coordinate: resistance (N or Nm) over speed (m/s or rad/s), both from zero
+    up.
 
     Between the points it is interpolated, outside them held constant. `breakaway` multiplies the
     resistance at speed zero to give the peak of static friction.
@@ -237,7 +239,8 @@ def load_description(
     """
     Read and check a description.
 
-    A file may say `extends: other.yaml` and then gives only what differs. `switches` sets the state
+    A file may say `extends: other.yaml` and then gives only what differs. `switches` sets the
+    state
     of connections, by name or for all at once; `damping` picks between two-valued quantities;
     `overlays` are laid over the file in turn. Raises `UserError` naming file, line and key.
     """
@@ -290,7 +293,7 @@ def check(document: Document, damping: str = 'improved') -> Description:
 def _unwrap(
     document: Document, value: Any, key: Key, damping: str, provenance: dict[str, str]
 ) -> Any:
-    """Replace every {value, from} and {calculated, improved, from} by its value, and note `from`."""
+    """Replace every {value, from} and {calculated, improved, from} by its value; note `from`."""
     if isinstance(value, list):
         return [
             _unwrap(document, item, (*key, place), damping, provenance)
@@ -320,7 +323,9 @@ def _unwrap(
 def _check_grammar(document: Document, data: dict[str, Any]) -> None:
     """Apply the JSON Schema and turn its first complaint into one line for the user."""
     errors = jsonschema.Draft202012Validator(_SCHEMA).iter_errors(data)
-    error = min(errors, key=lambda found: (len(found.absolute_path), str(found.path)), default=None)
+    error = min(
+        errors, key=lambda found: (len(found.absolute_path), str(found.path)), default=None
+    )
     if error is None:
         return
     key = tuple(error.absolute_path)
@@ -444,7 +449,9 @@ class _Reader:
         key = ('rotors', name, 'turns_with')
         coordinate = self.moving(key, value['turns_with'])
         if not self.revolute[coordinate]:
-            raise self.document.error(key, f'{coordinate} is a length; a rotor turns with an angle')
+            raise self.document.error(
+                key, f'{coordinate} is a length; a rotor turns with an angle'
+            )
         return Rotor(name, inertia, coordinate)
 
     def body(self, name: str) -> Body:
@@ -691,12 +698,15 @@ class _Reader:
             raise self.document.error(key, str(error)) from None
         if is_rotary != rotary:
             raise self.document.error(
-                key, f'{direction or "this stiffness"} is {"rotary" if is_rotary else "linear"}; '
-                'where the connection is used, it is not'
+                key,
+                f'{direction or "this stiffness"} is {"rotary" if is_rotary else "linear"}; '
+                'where the connection is used, it is not',
             )
         loss = value.get('loss_factor', getattr(part, 'loss_factor', None))
         if loss is None:
-            raise self.document.error(key, f'part {value["part"]} states no loss; give loss_factor')
+            raise self.document.error(
+                key, f'part {value["part"]} states no loss; give loss_factor'
+            )
         return stiffness, float(loss)
 
     def moving(self, key: Key, name: str) -> str:
@@ -775,7 +785,7 @@ class _Reader:
             raise self.document.error(
                 key, f'{len(speeds)} speeds but {len(resistances)} values of friction'
             )
-        if speeds[0] != 0.0 or any(a >= b for a, b in zip(speeds, speeds[1:], strict=False)):
+        if speeds[0] != 0.0 or any(a >= b for a, b in pairwise(speeds)):
             raise self.document.error(key, f'speeds must rise from 0; they are {speeds}')
         return Friction(
             name,

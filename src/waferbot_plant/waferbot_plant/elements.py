@@ -2,8 +2,8 @@
 """
 One-dimensional elements on the coordinates: spring-damper, tension-only cable, dry friction.
 
-Each acts on a deflection e = a z_i + b z_j of one or two minimal coordinates, and comes in two parts:
-one that puts it into the equations of an implicit midpoint step (see `plant`), which are
+Each acts on a deflection e = a z_i + b z_j of one or two minimal coordinates, and comes in two
+parts: one that puts it into the equations of an implicit midpoint step (see `plant`), which are
 
     A dz' = r,    A = M + h/2 B + h^2/4 K,    r = h (forces at the middle without dz'),
 
@@ -20,9 +20,11 @@ def parameter_fields(springs: int, cables: int, frictions: int, points: int) -> 
     """
     Return the dtype fields of the elements.
 
-    A spring or cable deflects by first_ratio * z[first] + second_ratio * z[second] from its `rest`;
+    A spring or cable deflects by first_ratio * z[first] + second_ratio * z[second] from its
+    `rest`;
     stiffness in N/m (Nm/rad), damping in N s/m (Nm s/rad). A friction acts on `ratio` times one
-    coordinate with a table of resistance (N, Nm) over speed, and `breakaway` times its first value.
+    coordinate with a table of resistance (N, Nm) over speed, and `breakaway` times its first
+    value.
     """
     two_sided = [
         ('first', 'i8'), ('second', 'i8'), ('first_ratio', 'f8'), ('second_ratio', 'f8'),
@@ -45,7 +47,8 @@ def state_fields(springs: int, cables: int, frictions: int, coordinates: int) ->
     Return the dtype fields of the elements' states and ledgers.
 
     `sliding` is +1 or -1 with the direction of a sliding coordinate and 0 where it is stuck;
-    `friction_force` is what friction does on a coordinate (N, Nm), `cable_force` the mean tension of
+    `friction_force` is what friction does on a coordinate (N, Nm), `cable_force` the mean tension
+    of
     the last step (N). Losses are energies since the start, J.
     """
     return [
@@ -124,7 +127,8 @@ def judge_cables(s, p, middle, speed):
     Decide for each cable how it acts in this step, from the predicted middle of it.
 
     Appendix C of the thesis: in tension f = k e + f_d with f_d = d e' bounded by the spring force,
-    |f_d| <= k e; slack f = 0. So within its bound it is a spring-damper; at the bounds it is a spring
+    |f_d| <= k e; slack f = 0. So within its bound it is a spring-damper; at the bounds it is a
+    spring
     of 2 k while it stretches fast, and no force while it shortens fast: a damper never makes a
     cable push.
     """
@@ -150,7 +154,7 @@ def judge_cables(s, p, middle, speed):
 
 @njit(cache=True, error_model='numpy')
 def add_cables(s, p, matrix, right, position, velocity, step):
-    """Put the cables into A and r, as they were judged, and the tensions that are fixed already."""
+    """Put the cables into A and r, as they were judged, and tensions that are fixed already."""
     for cable in range(len(p['cable_first'])):
         first = p['cable_first'][cable]
         second = p['cable_second'][cable]
@@ -171,9 +175,11 @@ def tension_in_crossing(start, free_end, compliance, stiffness):
     """
     Return the mean tension of a cable that goes slack or becomes taut within a step, N.
 
-    `start` and `free_end` are the elongations at both ends of the step, the latter without any tension
+    `start` and `free_end` are the elongations at both ends of the step, the latter without any
+    tension
     (m), of opposite sign; each newton of mean tension shortens the end by `compliance` (m/N). The
-    tension is the difference quotient of the stored energy U(e) = k max(e, 0)^2 / 2 over the step, so
+    tension is the difference quotient of the stored energy U(e) = k max(e, 0)^2 / 2 over the step,
+    so
     that the cable gives back exactly what was stored in it, wherever in the step the change falls.
     """
     if start > 0.0:
@@ -212,7 +218,8 @@ def book_cables(s, p, before, after, mean_speed, step):
         )
         if s['cable_stiffness'][cable] > 0.0:
             s['cable_force'][cable] = (
-                s['cable_stiffness'][cable] * 0.5 * (start + end) + s['cable_damping'][cable] * rate
+                s['cable_stiffness'][cable] * 0.5 * (start + end)
+                + s['cable_damping'][cable] * rate
             )
         s['cable_loss'][cable] += s['cable_force'][cable] * rate * step - (
             stored_in_cable(p, cable, end) - stored_in_cable(p, cable, start)
@@ -250,9 +257,7 @@ def limit_friction(s, p, speed):
         coordinate = p['friction_coordinate'][friction]
         ratio = abs(p['friction_ratio'][friction])
         at_rest = p['friction_resistance'][friction, 0]
-        moving = at_rest
-        if s['sliding'][coordinate] != 0:
-            moving = resistance_at(p, friction, ratio * abs(speed[coordinate]))
+        moving = resistance_at(p, friction, ratio * abs(speed[coordinate]))
         s['friction_now'][friction] = ratio * moving
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
@@ -271,7 +276,7 @@ def book_frictions(s, p, mean_speed, step):
 
 @njit(cache=True, error_model='numpy')
 def spring_force(p, spring, position, velocity):
-    """Return the force k e + d e' of a spring-damper at one instant, N or Nm, positive when pulling."""
+    """Return the force k e + d e' of a spring-damper at one instant, N or Nm."""
     first = p['spring_first'][spring]
     second = p['spring_second'][spring]
     a = p['spring_first_ratio'][spring]

@@ -3,15 +3,15 @@
 Encoders: position to whole counts, rounded down, some phase cycles late.
 
 The thesis (chapter 4) multiplies the position by the counts per unit, rounds down, and passes the
-count through a unit delay at the phase rate, because feedback over the MACRO ring is always that of
-the previous cycle. So at an encoder tick (every `encoder_divider` ticks) the published counts are
-those read `encoder_delay` encoder ticks before. No noise, no index error, no interpolation error.
+count through a unit delay at the phase rate, because feedback over the MACRO ring is always that
+of the previous cycle. So at an encoder tick (every `encoder_divider` ticks) the published counts
+are those read `encoder_delay` encoder ticks before. No noise, no index error, no interpolation
+error.
 """
 
 from __future__ import annotations
 
-import math
-
+import numpy as np
 from numba import njit
 
 ENCODERS = 4
@@ -36,13 +36,14 @@ STATE_FIELDS: list[tuple] = [('readings', 'i8', (LONGEST_DELAY + 1, ENCODERS))]
 def read_encoder(p, position, encoder):
     """Return the whole counts of one encoder at `position` (n,) of the minimal coordinates."""
     coordinate = p['encoder_coordinate'][encoder]
-    return int(math.floor(p['counts_per_unit'][encoder] * position[coordinate]))
+    return np.int64(np.floor(p['counts_per_unit'][encoder] * position[coordinate]))
 
 
 @njit(cache=True, error_model='numpy')
 def measure_counts(s, p, tick, counts):
     """
-    Read the encoders if `tick` is an encoder tick, and publish the delayed counts into `counts` (4,).
+    Read the encoders if `tick` is an encoder tick, and publish the delayed counts into `counts`
+    (4,).
 
     Between encoder ticks `counts` is left as it is.
     """

@@ -5,24 +5,28 @@ One step of the whole plant: mechanism, elements and windings together.
 The implicit midpoint rule, linear in what is stiff. With z the coordinates, h the step and
 dz' = z'(h) - z'(0) the unknown,
 
-    M (dz'/h) + bias = forces of springs, cables, friction and motors, all at the middle of the step,
+    M dz'/h + bias = forces of springs, cables, friction and motors, at the middle of the step,
 
-where spring deflections, damper speeds and winding currents at the middle contain dz' itself. They are
-linear in it, so it is one set of linear equations A dz' = r and no iteration. M, bias and the electrical
-angles are taken at z + h/2 z' and the speed expected from the last step.
+where spring deflections, damper speeds and winding currents at the middle contain dz' itself. They
+are linear in it, so it is one set of linear equations A dz' = r and no iteration. M, bias and the
+electrical angles are taken at z + h/2 z' and the speed expected from the last step.
 
 - Second order. One evaluation of the mechanism and one factorisation per step.
-- No stiffness makes it unstable, and it adds no damping of its own: energy supplied equals energy stored
-  plus energy lost to rounding for the linear part (springs, windings, force times speed of the motors),
+- No stiffness makes it unstable, and it adds no damping of its own: energy supplied equals energy
+  stored
+  plus energy lost to rounding for the linear part (springs, windings, force times speed of the
+  motors),
   and to second order in h for the rest. An oscillation of frequency f comes out low by
   (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
-- Dry friction is found with dz', not before it: a coordinate is stuck if some force within its limits
-  holds it, and then its speed is zero exactly; otherwise friction acts with full strength against the
+- Dry friction is found with dz', not before it: a coordinate is stuck if some force within its
+  limits
+  holds it, and then its speed is zero exactly; otherwise friction acts with full strength against
+  the
   speed. So a coordinate comes to rest within the step and there is no creep and no chatter.
 
-Source: the implicit midpoint rule, E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration,
-Springer 2006; friction as a set-valued force, J. J. Moreau, in Nonsmooth Mechanics and Applications,
-Springer 1988.
+Source: the implicit midpoint rule, E. Hairer, C. Lubich, G. Wanner, Geometric Numerical
+Integration, Springer 2006; friction as a set-valued force, J. J. Moreau, in Nonsmooth Mechanics
+and Applications, Springer 1988.
 """
 
 from __future__ import annotations
@@ -49,7 +53,8 @@ def state_fields(coordinates: int) -> list[tuple]:
     Return the dtype fields of the mechanism's state and of the step's workings.
 
     `position`, `velocity` (n,) in m, rad, m/s, rad/s; `velocity_change` that of the last step;
-    `external_force` (n,) an outside force on each coordinate, N or Nm, held until changed, whose work
+    `external_force` (n,) an outside force on each coordinate, N or Nm, held until changed, whose
+    work
     is booked in `external_work`, J.
     """
     return [
@@ -119,7 +124,8 @@ def _find_velocity_change(s, p, step):
     Solve A dz' = r + h friction for dz' and the friction, each within its limits.
 
     Starts from the directions of sliding of the last step and turns over those that do not fit: a
-    stuck coordinate whose holding force exceeds its limit slides, a sliding one whose speed changes sign
+    stuck coordinate whose holding force exceeds its limit slides, a sliding one whose speed
+    changes sign
     sticks. Once let go, a coordinate is held by sliding friction only, in this step. After a few
     rounds only the first misfit is turned over, which is sure to end (Murty's rule: A is positive
     definite).
@@ -132,9 +138,7 @@ def _find_velocity_change(s, p, step):
         _solve_with_friction(s, p, step)
         misfits = 0
         for row in range(size):
-            if s['holding_friction'][row] == 0.0:
-                continue
-            if s['sliding'][row] == 0:
+            if _is_stuck(s, row):
                 if abs(s['friction_force'][row]) > s['holding_friction'][row]:
                     s['sliding'][row] = -1 if s['friction_force'][row] > 0.0 else 1
                     s['holding_friction'][row] = s['sliding_friction'][row]
@@ -148,6 +152,12 @@ def _find_velocity_change(s, p, step):
         rounds += 1
         if misfits == 0 or rounds > 4 * size + 8:
             return
+
+
+@njit(cache=True, error_model='numpy')
+def _is_stuck(s, row):
+    """Return whether friction holds a coordinate: it has some, and does not slide."""
+    return s['sliding'][row] == 0 and s['holding_friction'][row] + s['sliding_friction'][row] > 0.0
 
 
 @njit(cache=True, error_model='numpy')
@@ -165,17 +175,16 @@ def _solve_with_friction(s, p, step):
             factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
     for row in range(size):
-        if s['holding_friction'][row] > 0.0:
-            if s['sliding'][row] != 0:
-                s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
-                change[row] += step * s['friction_force'][row]
+        if s['sliding'][row] != 0:
+            s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
+            change[row] += step * s['friction_force'][row]
     for row in range(size):
-        if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+        if _is_stuck(s, row):
             _lock(factors, change, row, -velocity[row])
     factorise(factors)
     solve(factors, change)
     for row in range(size):
-        if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+        if _is_stuck(s, row):
             s['friction_force'][row] = _holding_force(s, p, row, step)
 
 
@@ -244,8 +253,10 @@ def _let_cables_change(s, p, step):
     """
     Solve the step again for a cable that goes slack or becomes taut within it.
 
-    The step without the cable gives the elongation at its end, free of tension; the mean tension that
-    conserves the cable's energy follows in closed form. One cable after another; two that change in
+    The step without the cable gives the elongation at its end, free of tension; the mean tension
+    that
+    conserves the cable's energy follows in closed form. One cable after another; two that change
+    in
     the same step see each other's change only as judged.
     """
     response = s['response']
@@ -268,15 +279,20 @@ def _let_cables_change(s, p, step):
         response[first] += p['cable_first_ratio'][cable]
         response[second] += p['cable_second_ratio'][cable]
         for row in range(len(response)):
-            if s['holding_friction'][row] > 0.0 and s['sliding'][row] == 0:
+            if _is_stuck(s, row):
                 response[row] = 0.0
         solve(s['factors'], response)
-        compliance = 0.5 * step * step * (
-            p['cable_first_ratio'][cable] * response[first]
-            + p['cable_second_ratio'][cable] * response[second]
+        compliance = (
+            0.5
+            * step
+            * step
+            * (
+                p['cable_first_ratio'][cable] * response[first]
+                + p['cable_second_ratio'][cable] * response[second]
+            )
         )
         full = p['cable_stiffness'][cable]
-        if start > 0.0 and free_end < 0.5 * full * compliance * start or start <= 0.0 < free_end:
+        if (start > 0.0 and free_end < 0.5 * full * compliance * start) or start <= 0.0 < free_end:
             s['cable_force'][cable] = tension_in_crossing(start, free_end, compliance, full)
         elif start > 0.0:
             s['cable_stiffness'][cable] = stiffness

@@ -2,15 +2,16 @@
 """
 Modal analysis: which connections matter, and how the machine vibrates as a whole.
 
-Two different things are called frequency here. The **first frequency** of a connection is that of its
-spring alone with the inertia that it carries, everything else held (Table 6.7 of the thesis); it
-serves to pick the simplified model. The **coupled modes** are those of the whole machine at a pose, with
-every flexible connection at once, from the linearised equations
+Two different things are called frequency here. The **first frequency** of a connection is that of
+its spring alone with the inertia that it carries, everything else held (Table 6.7 of the thesis);
+it serves to pick the simplified model. The **coupled modes** are those of the whole machine at a
+pose, with every flexible connection at once, from the linearised equations
 
     M z'' + D z' + K z = 0,    (K - omega^2 M) shape = 0
 
-where K holds springs, taut cables and the stiffness of gravity, and the axes are free. Damping is shown as
-the ratio of each mode by itself, shape' D shape / (2 omega); friction and motors are left out.
+where K holds springs, taut cables and the stiffness of gravity, and the axes are free. Damping is
+shown as the ratio of each mode by itself, shape' D shape / (2 omega); friction and motors are left
+out.
 """
 
 from __future__ import annotations
@@ -26,14 +27,13 @@ import yaml
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
-
 from waferbot_plant import plant, statics
 from waferbot_plant.assembly import Behaviour
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 
 BANDWIDTH_FACTOR = 10.0
-"""A connection whose first frequency is above this many bandwidths is taken as rigid (chapter 6)."""
+"""A connection with a first frequency above this many bandwidths is rigid (chapter 6)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ def pick_simplified(
     description: Description, bandwidth_hz: float, factor: float = BANDWIDTH_FACTOR
 ) -> dict[str, str]:
     """
-    Return switches by the rule of the thesis: rigid above `factor` times the controller's bandwidth.
+    Return switches by the rule of the thesis: rigid above `factor` times the controller's
+    bandwidth.
 
     With 30 Hz and the factor of ten, connections from 300 Hz up are rigid.
     """
@@ -72,8 +73,10 @@ def pick_simplified(
     }
 
 
-def write_switches(path: Path, base: str, switches: Mapping[str, str], force: bool = False) -> None:
-    """Write a description that extends `base` and sets the switches; refuses to overwrite a file."""
+def write_switches(
+    path: Path, base: str, switches: Mapping[str, str], force: bool = False
+) -> None:
+    """Write a description that extends `base` and sets the switches; overwrites only if forced."""
     if path.exists() and not force:
         raise UserError(f'{path} exists; choose another name or force overwriting it')
     data = {
@@ -124,7 +127,8 @@ def coupled_modes(machine: Machine, positions: Mapping[str, float] | None = None
     """
     Return the modes of the machine with the axes free at a pose, by rising frequency.
 
-    Modes without elastic energy to speak of (the axes moving, perhaps swinging under gravity) are left
+    Modes without elastic energy to speak of (the axes moving, perhaps swinging under gravity) are
+    left
     out: those whose frequency is below 1e-4 of the highest, or whose stiffness is negative.
     """
     parameters = machine.parameters()
@@ -156,7 +160,8 @@ def coupled_modes(machine: Machine, positions: Mapping[str, float] | None = None
 def _elastic_shares(machine: Machine, shape: NDArray[np.float64]) -> dict[str, float]:
     """Return the share of every flexible element in the elastic energy of a shape."""
     energies = {
-        element.name: element.stiffness * sum(ratio * shape[place] for place, ratio in element.terms) ** 2
+        element.name: element.stiffness
+        * sum(ratio * shape[place] for place, ratio in element.terms) ** 2
         for element in (*machine.assembly.springs, *machine.assembly.cables)
         if element.connections
     }
@@ -165,7 +170,7 @@ def _elastic_shares(machine: Machine, shape: NDArray[np.float64]) -> dict[str, f
 
 
 def plot_modes(machine: Machine, modes: list[Mode], path: Path) -> None:
-    """Draw which coordinate moves (bars, largest 1) in every mode, and write it to an image file."""
+    """Draw how every coordinate moves in every mode (bars, largest 1) into an image file."""
     import matplotlib
 
     matplotlib.use('Agg')

@@ -2,24 +2,26 @@
 """
 Three-phase motors: delta-wound linear (3.4 to 3.8), wye-wound rotary (3.9 to 3.15).
 
-The three winding currents are states. In a delta the windings lie between the terminals (12, 23, 31)
-and a current can circulate in the triangle; in a wye they lie between terminal and star point, and
-Kirchhoff's law (3.15) leaves two of them free. For winding w, with u_w the voltage across it,
+The three winding currents are states. In a delta the windings lie between the terminals (12, 23,
+31) and a current can circulate in the triangle; in a wye they lie between terminal and star point,
+and Kirchhoff's law (3.15) leaves two of them free. For winding w, with u_w the voltage across it,
 
     L di_w/dt = u_w - R i_w - k s_w v        force = sum of k s_w i_w
 
 where v is the speed of the coordinate (m/s, rad/s), k the amplitude of the winding's back-EMF
-constant and s_w its phase, a sine of the electrical angle. Back-EMF and force use the same k s_w, so
-what the current loses electrically is what the mechanism gains; (3.12) to (3.14) leave the phase out
-and would not conserve power.
+constant and s_w its phase, a sine of the electrical angle. Back-EMF and force use the same k s_w,
+so what the current loses electrically is what the mechanism gains; (3.12) to (3.14) leave the
+phase out and would not conserve power.
 
-Convention, shared with the amplifier: line k has the phase sin(angle - 2 pi (k - 1) / 3), with angle
-zero at position zero, and line currents of amplitude I in that phase give the largest positive force,
+Convention, shared with the amplifier: line k has the phase sin(angle - 2 pi (k - 1) / 3), with
+angle zero at position zero, and line currents of amplitude I in that phase give the largest
+positive force,
 
     force = 3/2 k I (wye)        force = sqrt(3)/2 k I (delta)
 
-A delta winding leads the line that it starts from by 30 degrees, with sqrt(3) times the amplitude of
-the equivalent star. Assumption: equal, constant R and L, no saturation, no cogging, sinusoidal EMF.
+A delta winding leads the line that it starts from by 30 degrees, with sqrt(3) times the amplitude
+of the equivalent star. Assumption: equal, constant R and L, no saturation, no cogging, sinusoidal
+EMF.
 """
 
 from __future__ import annotations
@@ -61,8 +63,8 @@ STATE_FIELDS: list[tuple] = [
     ('current_per_speed', 'f8', (MOTORS,)),
 ]
 """
-Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the amplifier
-and turned to heat in the copper since the start (J); and the workings of a step.
+Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the
+amplifier and turned to heat in the copper since the start (J); and the workings of a step.
 """
 
 
@@ -80,22 +82,25 @@ def winding_data(motor: Motor) -> tuple[int, float, float, float]:
 
 
 def force_constant(motor: Motor) -> float:
-    """Return force or torque per ampere of line current amplitude, N/A or Nm/A, wye and delta alike."""
+    """Return force or torque per ampere of line current amplitude, N/A or Nm/A."""
     return _HALF_ROOT_3 * motor.back_emf
 
 
 @njit(cache=True, error_model='numpy')
 def begin_step(s, p, position, voltage, step):
     """
-    Solve the windings' equations for a step of `step` seconds as far as that goes without the speed.
+    Solve the windings' equations for a step of `step` seconds as far as that goes without the
+    speed.
 
     The implicit midpoint rule on L di/dt gives for each winding its mean current over the step,
 
         i = (i_0 + step/(2L) (u - k s v)) / (1 + step R/(2L)) = driven - per_speed s v,
 
     linear in the mean speed v, which comes out of the mechanism's equations only later. `position`
-    (n,) holds the coordinates at the middle of the step, `voltage` (9,) the terminal voltages. An open
-    terminal carries no current; the energy of the windings goes back to the amplifier within one step
+    (n,) holds the coordinates at the middle of the step, `voltage` (9,) the terminal voltages. An
+    open
+    terminal carries no current; the energy of the windings goes back to the amplifier within one
+    step
     (really, through its diodes, in a few).
     """
     for motor in range(MOTORS):

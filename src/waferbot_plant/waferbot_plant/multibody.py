@@ -6,31 +6,30 @@ The equations of motion in the minimal coordinates z (n of them; m or rad) are
 
     M(z) z'' + h(z, z') = generalised forces
 
-with the mass matrix M from the composite-rigid-body algorithm and the bias h (Coriolis, centrifugal,
-gravity) from the recursive Newton-Euler algorithm at zero acceleration. Every link has one freedom
-q = ratio * z, so that a gear, a belt or an inextensible cable only shares a coordinate between links
-(q = B z, M_z = B' M B, h_z = B' h).
+with the mass matrix M from the composite-rigid-body algorithm and the bias h (Coriolis,
+centrifugal, gravity) from the recursive Newton-Euler algorithm at zero acceleration. Every link
+has one freedom q = ratio * z, so that a gear, a belt or an inextensible cable only shares a
+coordinate between links (q = B z, M_z = B' M B, h_z = B' h).
 
 Everything is written in the base frame, with moments taken about the base origin. A spatial vector
 is (moment or angular part, force or linear part). Seen so, the inertia of a composite body is the
-plain sum of its parts, and no vector has to be carried from frame to frame. Body and joint data are
-those of the home pose, where all link frames are parallel to the base frame.
+plain sum of its parts, and no vector has to be carried from frame to frame. Body and joint data
+are those of the home pose, where all link frames are parallel to the base frame.
 
-Source of the algorithms: R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008, chapters 5
-and 6. Assumption: joints without friction and give; both are added by `elements`. Limit: with moments
-about one origin, digits are lost as (distance / size)^2 of a body; harmless within metres.
+Source of the algorithms: R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008, chapters
+5 and 6. Assumption: joints without friction and give; both are added by `elements`. Limit: with
+moments about one origin, digits are lost as (distance / size)^2 of a body; harmless within metres.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 
 def workspace_fields(links: int, coordinates: int) -> list[tuple]:
-    """Return the dtype fields that the functions here work in; place 0 of a link array is the base."""
+    """Return the dtype fields of the workspace; place 0 of a link array is the base."""
     return [
         ('rotation', 'f8', (links + 1, 9)),
         ('point', 'f8', (links + 1, 3)),
@@ -49,7 +48,8 @@ def parameter_fields(links: int, coordinates: int) -> list[tuple]:
     Return the dtype fields of a mechanism.
 
     `parent` counts links from 1, 0 is the base. `offset` leads from the parent's point to the
-    link's, m; `first_moment` is mass times centre of gravity from the link's point, kg m; `inertia`
+    link's, m; `first_moment` is mass times centre of gravity from the link's point, kg m;
+    `inertia`
     is the tensor about that point (xx, yy, zz, xy, xz, yz), kg m2; `rotor_inertia` is what spins
     with a coordinate and nothing else, kg m2.
     """
@@ -79,7 +79,8 @@ def sine_and_cosine(angle):
     if abs(angle) < 0.03:
         square = angle * angle
         sine = angle * (
-            1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)))
+            1.0
+            - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)))
         )
         cosine = 1.0 - square / 2.0 * (
             1.0 - square / 12.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
@@ -136,8 +137,12 @@ def mass_matrix_and_bias(s, p, position, velocity):
         s0, s1, s2 = motion[own, 0], motion[own, 1], motion[own, 2]
         s3, s4, s5 = motion[own, 3], motion[own, 4], motion[own, 5]
         bias[row] += ratio * (
-            s0 * wrench[own, 0] + s1 * wrench[own, 1] + s2 * wrench[own, 2]
-            + s3 * wrench[own, 3] + s4 * wrench[own, 4] + s5 * wrench[own, 5]
+            s0 * wrench[own, 0]
+            + s1 * wrench[own, 1]
+            + s2 * wrench[own, 2]
+            + s3 * wrench[own, 3]
+            + s4 * wrench[own, 4]
+            + s5 * wrench[own, 5]
         )
 
         # momentum of everything that this link carries, when its own joint moves at unit rate
@@ -152,15 +157,23 @@ def mass_matrix_and_bias(s, p, position, velocity):
         f4 = mass * s4 + s2 * cx - s0 * cz
         f5 = mass * s5 + s0 * cy - s1 * cx
 
-        mass_matrix[row, row] += ratio * ratio * (
-            s0 * f0 + s1 * f1 + s2 * f2 + s3 * f3 + s4 * f4 + s5 * f5
+        mass_matrix[row, row] += (
+            ratio * ratio * (s0 * f0 + s1 * f1 + s2 * f2 + s3 * f3 + s4 * f4 + s5 * f5)
         )
         above = parent
         while above > 0:
             column = p['coordinate'][above - 1]
-            entry = ratio * p['ratio'][above - 1] * (
-                motion[above, 0] * f0 + motion[above, 1] * f1 + motion[above, 2] * f2
-                + motion[above, 3] * f3 + motion[above, 4] * f4 + motion[above, 5] * f5
+            entry = (
+                ratio
+                * p['ratio'][above - 1]
+                * (
+                    motion[above, 0] * f0
+                    + motion[above, 1] * f1
+                    + motion[above, 2] * f2
+                    + motion[above, 3] * f3
+                    + motion[above, 4] * f4
+                    + motion[above, 5] * f5
+                )
             )
             if column == row:
                 mass_matrix[row, row] += 2.0 * entry
@@ -176,7 +189,7 @@ def mass_matrix_and_bias(s, p, position, velocity):
 
 @njit(cache=True, error_model='numpy')
 def _place_link(s, p, link, position, velocity):
-    """Pose, joint axis, twist and velocity-product acceleration of a link from those of its parent."""
+    """Set pose, joint axis, twist and velocity-product acceleration of a link from its parent's."""
     rotation = s['rotation']
     point = s['point']
     motion = s['motion']
@@ -205,9 +218,21 @@ def _place_link(s, p, link, position, velocity):
         sine, cosine = sine_and_cosine(q)
         rest = 1.0 - cosine
         # rotation about the unit vector u (Rodrigues), times the parent's rotation from the left
-        t0, t1, t2 = cosine + rest * ux * ux, rest * ux * uy - sine * uz, rest * ux * uz + sine * uy
-        t3, t4, t5 = rest * uy * ux + sine * uz, cosine + rest * uy * uy, rest * uy * uz - sine * ux
-        t6, t7, t8 = rest * uz * ux - sine * uy, rest * uz * uy + sine * ux, cosine + rest * uz * uz
+        t0, t1, t2 = (
+            cosine + rest * ux * ux,
+            rest * ux * uy - sine * uz,
+            rest * ux * uz + sine * uy,
+        )
+        t3, t4, t5 = (
+            rest * uy * ux + sine * uz,
+            cosine + rest * uy * uy,
+            rest * uy * uz - sine * ux,
+        )
+        t6, t7, t8 = (
+            rest * uz * ux - sine * uy,
+            rest * uz * uy + sine * ux,
+            cosine + rest * uz * uz,
+        )
         rotation[own, 0] = r0 * t0 + r1 * t3 + r2 * t6
         rotation[own, 1] = r0 * t1 + r1 * t4 + r2 * t7
         rotation[own, 2] = r0 * t2 + r1 * t5 + r2 * t8
@@ -254,7 +279,7 @@ def _place_link(s, p, link, position, velocity):
 
 @njit(cache=True, error_model='numpy')
 def _weigh_link(s, p, link):
-    """Inertia of a link's own body about the base origin, and the wrench that its drift takes."""
+    """Set the inertia of a link's own body about the base origin and the wrench of its drift."""
     composite = s['composite']
     wrench = s['wrench']
     own = link + 1
@@ -274,20 +299,28 @@ def _weigh_link(s, p, link):
     ox, oy, oz = p['first_moment'][link, 0], p['first_moment'][link, 1], p['first_moment'][link, 2]
     # first moment from the link's point, then from the base origin
     ox, oy, oz = (
-        r0 * ox + r1 * oy + r2 * oz, r3 * ox + r4 * oy + r5 * oz, r6 * ox + r7 * oy + r8 * oz
+        r0 * ox + r1 * oy + r2 * oz,
+        r3 * ox + r4 * oy + r5 * oz,
+        r6 * ox + r7 * oy + r8 * oz,
     )
     cx, cy, cz = ox + mass * px, oy + mass * py, oz + mass * pz
 
     ixx, iyy, izz = p['inertia'][link, 0], p['inertia'][link, 1], p['inertia'][link, 2]
     ixy, ixz, iyz = p['inertia'][link, 3], p['inertia'][link, 4], p['inertia'][link, 5]
     a0, a1, a2 = (
-        r0 * ixx + r1 * ixy + r2 * ixz, r0 * ixy + r1 * iyy + r2 * iyz, r0 * ixz + r1 * iyz + r2 * izz
+        r0 * ixx + r1 * ixy + r2 * ixz,
+        r0 * ixy + r1 * iyy + r2 * iyz,
+        r0 * ixz + r1 * iyz + r2 * izz,
     )
     a3, a4, a5 = (
-        r3 * ixx + r4 * ixy + r5 * ixz, r3 * ixy + r4 * iyy + r5 * iyz, r3 * ixz + r4 * iyz + r5 * izz
+        r3 * ixx + r4 * ixy + r5 * ixz,
+        r3 * ixy + r4 * iyy + r5 * iyz,
+        r3 * ixz + r4 * iyz + r5 * izz,
     )
     a6, a7, a8 = (
-        r6 * ixx + r7 * ixy + r8 * ixz, r6 * ixy + r7 * iyy + r8 * iyz, r6 * ixz + r7 * iyz + r8 * izz
+        r6 * ixx + r7 * ixy + r8 * ixz,
+        r6 * ixy + r7 * iyy + r8 * iyz,
+        r6 * ixz + r7 * iyz + r8 * izz,
     )
     # moving the reference from the link's point P to the origin adds
     # (2 P.o + m P.P) 1 - (P o' + o P' + m P P'), with o the first moment from P
@@ -315,16 +348,13 @@ def _weigh_link(s, p, link):
     ly = mass * vy + wz * cx - wx * cz
     lz = mass * vz + wx * cy - wy * cx
     wrench[own, 0] = (
-        xx * ex + xy * ey + xz * ez + cy * gz - cz * gy
-        + wy * hz - wz * hy + vy * lz - vz * ly
+        xx * ex + xy * ey + xz * ez + cy * gz - cz * gy + wy * hz - wz * hy + vy * lz - vz * ly
     )
     wrench[own, 1] = (
-        xy * ex + yy * ey + yz * ez + cz * gx - cx * gz
-        + wz * hx - wx * hz + vz * lx - vx * lz
+        xy * ex + yy * ey + yz * ez + cz * gx - cx * gz + wz * hx - wx * hz + vz * lx - vx * lz
     )
     wrench[own, 2] = (
-        xz * ex + yz * ey + zz * ez + cx * gy - cy * gx
-        + wx * hy - wy * hx + vx * ly - vy * lx
+        xz * ex + yz * ey + zz * ez + cx * gy - cy * gx + wx * hy - wy * hx + vx * ly - vy * lx
     )
     wrench[own, 3] = mass * gx + ey * cz - ez * cy + wy * lz - wz * ly
     wrench[own, 4] = mass * gy + ez * cx - ex * cz + wz * lx - wx * lz
@@ -346,7 +376,8 @@ def kinetic_energy(s, p, velocity):
 @njit(cache=True, error_model='numpy')
 def gravity_energy(s, p):
     """
-    Return the potential energy of gravity, -m g . r (2.24), in J, zero with everything at the origin.
+    Return the potential energy of gravity, -m g . r (2.24), in J, zero with everything at the
+    origin.
 
     Uses the poses that `mass_matrix_and_bias` left in the workspace.
     """
@@ -355,7 +386,9 @@ def gravity_energy(s, p):
         for row in range(3):
             moment = p['mass'][link] * s['point'][link + 1, row]
             for column in range(3):
-                moment += s['rotation'][link + 1, 3 * row + column] * p['first_moment'][link, column]
+                moment += (
+                    s['rotation'][link + 1, 3 * row + column] * p['first_moment'][link, column]
+                )
             energy -= p['gravity'][row] * moment
     return energy
 
@@ -365,7 +398,8 @@ def factorise(matrix):
     """
     Factorise a symmetric positive definite matrix (n, n) in place, A = L' D L, lower triangle.
 
-    Eliminates from the last row up, children before parents: the zeros between branches of the tree
+    Eliminates from the last row up, children before parents: the zeros between branches of the
+    tree
     then stay zeros, and rows that a link does not touch are skipped (Featherstone, section 6.5).
     """
     for pivot in range(len(matrix) - 1, 0, -1):
@@ -392,5 +426,3 @@ def solve(factors, vector):
         for column in range(row):
             value -= factors[row, column] * vector[column]
         vector[row] = value
-
-

@@ -20,6 +20,7 @@ from diagnostic_msgs.msg import KeyValue
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
+from waferbot_msgs.msg import Recorded
 from waferbot_lockstep.contract import (
     ALL_AXES,
     ALL_ENCODERS,
@@ -27,6 +28,7 @@ from waferbot_lockstep.contract import (
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
+    RECORDED_TOPIC,
     SLOW_DIVIDER,
     Topic,
 )
@@ -41,11 +43,16 @@ from waferbot_lockstep.standard_messages import (
 
 from waferbot_plant import plant
 
-REALTIME_SETTINGS = (
+PLANT_SETTINGS = (
     Parameter(
         'realtime_factor', 1.0, '', 1e-3, 100.0, 'sim seconds per wall second in real time', fixed=True
     ),
-)
+    Parameter(
+        'recorder_window', 0, 'ticks', 0, 1_000_000,
+        'in lock-step, how far the plant may be ahead of a recorder; 0: it waits for none',
+        integer=True, fixed=True,
+    ),
+)  # fmt: skip
 
 LONGEST_STRETCH_TICKS = 1800
 """In real time, ticks that may be made up for at once after a delay (0.1 s) before others are served."""
@@ -64,9 +71,11 @@ class PlantNode(LockstepNode):
             'damping', 'improved', ('calculated', 'improved'), 'damping of the connections'
         )
         self._paused = bool(self.declare_parameter('start_paused', False).value)
-        self._realtime_factor = float(
-            self.declare_settings('', REALTIME_SETTINGS)['realtime_factor']
-        )
+        settings = self.declare_settings('', PLANT_SETTINGS)
+        self._realtime_factor = float(settings['realtime_factor'])
+        self._recorder_window = int(settings['recorder_window'])
+        self._recorded = 0
+        self._recorder_heard_s = 0.0
         machine = plant.load_machine(description, damping=damping, timing=self.timing)
         self._model_parameters = machine.parameters()
         self._model_state = machine.initial_state(self._model_parameters)
@@ -83,6 +92,8 @@ class PlantNode(LockstepNode):
         self._clock_publisher = self.create_publisher(ClockMessage, CLOCK[0], lockstep_qos())
         self._joint_publisher = self.create_publisher(JointState, JOINT_STATES[0], lockstep_qos())
         self.create_service(SetBool, '~/pause', self._on_pause)
+        if self._recorder_window:
+            self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())
 
     @property
     def tick(self) -> int:
@@ -102,11 +113,21 @@ class PlantNode(LockstepNode):
         if self.timekeeping == LOCKSTEP:
             inbox.consumed()
             self._due = True
-            if not self._paused:
-                self._advance()
+            self._advance_if_free()
         elif self._started_s is None and not self._paused:
             self._started_s = time.monotonic()
             self._started_tick = self._tick
+
+    def _advance_if_free(self) -> None:
+        """Take the tick that is due, unless time is paused or the recorder too far behind."""
+        behind = self._tick - self._recorded >= self._recorder_window > 0
+        if self._due and not self._paused and not behind and self.outcome is None:
+            self._advance()
+
+    def _on_recorded(self, recorded: Any) -> None:
+        self._recorder_heard_s = time.monotonic()
+        self._recorded = max(self._recorded, recorded.tick)
+        self._advance_if_free()
 
     def sleep_time_s(self) -> float | None:
         """Return the wall time until the next tick is due."""
@@ -169,12 +190,21 @@ class PlantNode(LockstepNode):
         response.success = True
         response.message = f'{"paused" if request.data else "running"} at tick {self._tick}'
         self._started_s = None
-        if not self._paused:
-            if self._due:
-                self._advance()
-            elif self.timekeeping == REALTIME:
-                self.on_input(PHASE_VOLTAGES)
+        if self.timekeeping == LOCKSTEP:
+            self._advance_if_free()
+        elif not self._paused:
+            self.on_input(PHASE_VOLTAGES)
         return response
+
+    def watch(self, now_s: float) -> None:
+        """Stop if a recorder that was there has fallen silent."""
+        silence_s = now_s - self._recorder_heard_s
+        timeout_s = self.get_parameter('peer_timeout_s').value
+        if self._recorder_heard_s and silence_s > timeout_s:
+            self.fail(
+                f'the recorder is gone: topic {RECORDED_TOPIC} is silent for {silence_s:.1f} s, '
+                f'everything before tick {self._recorded} was recorded'
+            )
 
     def diagnostic_values(self) -> list[KeyValue]:
         """Tell how far the plant fell behind the wall clock."""

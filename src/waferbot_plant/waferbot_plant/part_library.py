@@ -3,9 +3,9 @@
 From the parts named in a description to stiffness, loss factor and friction.
 
 A part is given by what its supplier or drawing states; `parts` holds the equations. Here they are
-applied: which kinds there are, what each gives, and which static load of the machine at home a bearing's
-secant stiffness is taken at. The equations of guides and cross-roller bearings have the machine's
-directions in them: gravity along -y, rails along y, X-Rotate along x.
+applied: which kinds there are, what each gives, and which static load of the machine at home a
+bearing's secant stiffness is taken at. The equations of guides and cross-roller bearings have the
+machine's directions in them: gravity along -y, rails along y, X-Rotate along x.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-
 from waferbot_plant.marked_yaml import Document, Key
 from waferbot_plant.parts import (
     belt,
@@ -156,7 +155,8 @@ def friction(part: Any, other: Any, carried: Callable[[], Carried]) -> SpeedFric
     Return the friction of a part: at rest (N or Nm), and what it gains per speed (viscous).
 
     `other` is the part that takes part in it: the bearing inside a ferrofluid seal, the belt that
-    pulls on the Y-Rotate bearings. Raises `UserError` if it is missing or the part has no friction.
+    pulls on the Y-Rotate bearings. Raises `UserError` if it is missing or the part has no
+    friction.
     """
     if isinstance(part, LinearBearing):
         return SpeedFriction(
@@ -173,7 +173,9 @@ def friction(part: Any, other: Any, carried: Callable[[], Carried]) -> SpeedFric
         return SpeedFriction(lip_seal.drag_torque_nm(part), 0.0)
     if isinstance(part, YRotateBearings):
         if not isinstance(other, Belt):
-            raise UserError('the Y-Rotate bearings need `with`, naming the belt that pulls on them')
+            raise UserError(
+                'the Y-Rotate bearings need `with`, naming the belt that pulls on them'
+            )
         load = carried()
         loads = y_rotate_bearings.static_loads(
             part, load.mass, load.x, load.z, belt.shaft_force_n(other)

@@ -27,7 +27,6 @@ from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
-
 from waferbot_plant import elements, encoders, integrator, motors, multibody
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
@@ -40,7 +39,8 @@ def measure(state, parameters, tick, counts, line_currents):
     Measure the machine at tick `tick`.
 
     `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
-    ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of each
+    ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of
+    each
     motor, A, positive into the motor. Places of axes that the machine does not have are zero.
     """
     s = state[0]
@@ -65,7 +65,7 @@ def advance(state, parameters, voltage):
 
 @njit(cache=True, error_model='numpy')
 def joint_positions(state, parameters, position, velocity):
-    """Fill `position` and `velocity` (3,) of the axes, m or rad and per s; zero without that axis."""
+    """Fill `position` and `velocity` (3,) of the axes, m or rad, and per s; zero if missing."""
     s = state[0]
     p = parameters[0]
     for axis in range(len(position)):
@@ -89,7 +89,8 @@ def generalised_forces(state, parameters, result):
     """
     Fill `result` (n,) with the forces on z at the present state, N or Nm.
 
-    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction, motors
+    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction,
+    motors
     and `external_force`.
     """
     s = state[0]
@@ -103,7 +104,8 @@ def generalised_forces(state, parameters, result):
 @njit(cache=True, error_model='numpy')
 def acceleration(state, parameters, force, result):
     """
-    Fill `result` (n,) with z'' at the present state under `force` (n,), N or Nm, and the forces above.
+    Fill `result` (n,) with z'' at the present state under `force` (n,), N or Nm, and the forces
+    above.
 
     This is the instant's equation of motion, for comparison with other engines; `advance` does not
     use it.
@@ -136,7 +138,7 @@ def energy(state, parameters, result):
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine that was loaded: its description, its assembly, and what it looks like in memory."""
+    """A machine that was loaded: its description, its assembly, and how it lies in memory."""
 
     description: Description
     assembly: Assembly
@@ -219,9 +221,9 @@ class Machine:
                     p['inductance'][place],
                     p['back_emf'][place],
                 ) = motors.winding_data(motor)
-        for place, name in enumerate(ENCODERS):
-            if name in description.encoders:
-                encoder = description.encoders[name]
+        for place, place_name in enumerate(ENCODERS):
+            if place_name in description.encoders:
+                encoder = description.encoders[place_name]
                 coordinate, ratio = self._placing(encoder.coordinate)
                 p['encoder_coordinate'][place] = coordinate
                 p['counts_per_unit'][place] = encoder.counts_per_unit * ratio
@@ -273,8 +275,10 @@ class Machine:
         """
         Return a state at rest, with the encoders' history filled with it.
 
-        At home, or with the axes at `positions` (axis name to m or rad) and everything that gives in
-        static equilibrium. Without `holding` no current flows, and the machine begins to fall where
+        At home, or with the axes at `positions` (axis name to m or rad) and everything that gives
+        in
+        static equilibrium. Without `holding` no current flows, and the machine begins to fall
+        where
         gravity moves an axis; with it the windings carry the currents that hold the axes.
         """
         state = np.zeros(1, self.state_dtype)
@@ -296,7 +300,10 @@ def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None
 def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None:
     """Write springs or cables; one that acts on a single coordinate has that one twice."""
     for place, element in enumerate(two_sided):
-        (first, first_ratio), (second, second_ratio) = [*element.terms, (element.terms[0][0], 0.0)][:2]
+        (first, first_ratio), (second, second_ratio) = [
+            *element.terms,
+            (element.terms[0][0], 0.0),
+        ][:2]
         values = {
             'first': first,
             'second': second,
@@ -311,7 +318,7 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
 
 
 def config_folder() -> Path:
-    """Return the folder of the descriptions that come with the package, installed or in the source."""
+    """Return the folder of the descriptions that come with the package."""
     here = Path(__file__).resolve()
     candidates = [here.parents[1] / 'config']
     candidates += [above / 'share' / 'waferbot_plant' / 'config' for above in here.parents]
@@ -322,7 +329,7 @@ def config_folder() -> Path:
 
 
 def find_description(name_or_path: str | Path) -> Path:
-    """Return the file of a description: a path as it is, a name as one that comes with the package."""
+    """Return the file of a description, given by path or by the name of one in the package."""
     path = Path(name_or_path)
     if path.suffix in ('.yaml', '.yml') or path.parent != Path('.'):
         if not path.is_file():
@@ -353,11 +360,15 @@ def load_machine(
     """
     Load a machine by the name of a description that comes with the package, or by its path.
 
-    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated` or
-    `improved`; `overlays` are files or mappings laid over the description in turn. Raises `UserError`.
+    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
+    or
+    `improved`; `overlays` are files or mappings laid over the description in turn. Raises
+    `UserError`.
     """
     documents = tuple(
-        Document(dict(overlay), {(): 'overlay'}) if isinstance(overlay, Mapping) else read(Path(overlay))
+        Document(dict(overlay), {(): 'overlay'})
+        if isinstance(overlay, Mapping)
+        else read(Path(overlay))
         for overlay in overlays
     )
     path = find_description(name_or_path)

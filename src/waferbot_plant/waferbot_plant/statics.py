@@ -2,14 +2,14 @@
 """
 Statics: where the machine rests when its axes are held, and what holds it.
 
-With the axes at given positions, all other coordinates are where springs and gravity balance, and the
-motors' forces F are what is left over on their coordinates:
+With the axes at given positions, all other coordinates are where springs and gravity balance, and
+the motors' forces F are what is left over on their coordinates:
 
     springs(z) + gravity(z) + B F = 0,     z of the axes given.
 
-Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope; gravity
-changes the slope by parts in a thousand, so that each iteration gains about three digits. Dry
-friction is left out: it could hold more or less.
+Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope;
+gravity changes the slope by parts in a thousand, so that each iteration gains about three digits.
+Dry friction is left out: it could hold more or less.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-
 from waferbot_plant import elements, motors, plant
 from waferbot_plant.plant import Machine
 
@@ -39,7 +38,8 @@ def settle(
     """
     Put `state` at rest with the axes at `positions` (m, rad; home where not given).
 
-    With `holding`, the windings get the currents that hold it. Raises `UserError` for an unknown axis,
+    With `holding`, the windings get the currents that hold it. Raises `UserError` for an unknown
+    axis,
     and where holding is asked of an axis that has no motor.
     """
     description = machine.description
@@ -89,7 +89,8 @@ def reactions(
     machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void]
 ) -> dict[str, float]:
     """
-    Return the force of every flexible element at a state, by name: N of cables, N or Nm of springs.
+    Return the force of every flexible element at a state, by name: N of cables, N or Nm of
+    springs.
 
     Positive where a deflection in the positive sense would load the spring, and for tension.
     """
@@ -129,7 +130,10 @@ def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[n
     for _ in transmissions:
         for transmission in transmissions:
             ends = transmission.driving, transmission.driven
-            for (one, other), factor in ((ends, transmission.ratio), (ends[::-1], 1 / transmission.ratio)):
+            for (one, other), factor in (
+                (ends, transmission.ratio),
+                (ends[::-1], 1 / transmission.ratio),
+            ):
                 if one in known and other not in known:
                     place, ratio = machine.assembly.placing[one]
                     value = position[place] * ratio * factor
@@ -169,8 +173,8 @@ def _balance(
             if not needed:
                 return {}
             raise UserError(
-                f'{description.name}: no static equilibrium; a coordinate is held neither by a motor '
-                'nor by a spring'
+                f'{description.name}: no static equilibrium; '
+                'a coordinate is held neither by a motor nor by a spring'
             )
         state[0]['position'][free] += correction[: len(free)]
         forces += correction[len(free) :]

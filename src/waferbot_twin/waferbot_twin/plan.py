@@ -49,6 +49,18 @@ class Plan:
         }
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """
+    What came of a run: the recorder's closing line, and how long the loop took.
+
+    `loop_s` is wall time from the first tick to the last, without start-up, compiling and closing.
+    """
+
+    recorder: str
+    loop_s: float
+
+
 def make_plan(model: str, experiment: str, duration_s: float | None = None, seed: int = 0) -> Plan:
     """Return the plan for a model and an experiment, by name or file; raises `UserError`."""
     timing = Timing()

@@ -20,7 +20,7 @@ from typing import Any
 from waferbot_lockstep.errors import UserError
 
 from waferbot_twin.cli.console import print_json, progress_bar, say
-from waferbot_twin.plan import Plan, make_plan
+from waferbot_twin.plan import Outcome, Plan, make_plan
 
 ENGINES = ('ros', 'composed', 'inprocess')
 
@@ -59,8 +59,8 @@ def execute(options: argparse.Namespace) -> int:
     else:
         print(
             f'{result["experiment"]} on {result["model"]}, {result["engine"]}: '
-            f'{result["sim_s"]:.3f} s in {result["wall_s"]:.2f} s '
-            f'({result["realtime_factor"]:.2f} x real time)'
+            f'{result["sim_s"]:.3f} s in {result["loop_s"]:.2f} s '
+            f'({result["realtime_factor"]:.2f} x real time; {result["wall_s"]:.1f} s with start-up)'
         )
         print(result['recorder'])
         if result['out']:
@@ -75,9 +75,9 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         if options.engine == 'inprocess':
             from waferbot_twin.engines import inprocess
 
-            line = inprocess.run(plan, options.out, options.force, progress)
+            outcome = inprocess.run(plan, options.out, options.force, progress)
         else:
-            line = _run_over_ros(plan, options, progress)
+            outcome = _run_over_ros(plan, options, progress)
     wall_s = time.perf_counter() - begun_s
     sim_s = plan.timing.seconds(plan.ticks)
     return {
@@ -88,13 +88,14 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         'ticks': plan.ticks,
         'sim_s': sim_s,
         'wall_s': wall_s,
-        'realtime_factor': sim_s / wall_s,
-        'recorder': line,
+        'loop_s': outcome.loop_s,
+        'realtime_factor': sim_s / outcome.loop_s,
+        'recorder': outcome.recorder,
         'out': str(options.out) if options.out else None,
     }
 
 
-def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> str:
+def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
     try:
         from waferbot_twin.engines import ros
     except ImportError as error:

@@ -8,6 +8,7 @@ left out. Signals are therefore bit-identical to those of a run over ROS.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,7 +45,7 @@ from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
 
 from waferbot_twin.models import Model
-from waferbot_twin.plan import Plan
+from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
 from waferbot_twin.recording.writer import RecordingWriter
 
@@ -190,27 +191,31 @@ class Twin:
         return signals
 
 
-def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> str:
+def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcome:
     """
-    Run a plan to its end, recording to `out` if given; return the recorder's closing line.
+    Run a plan to its end, recording to `out` if given.
 
     Raises `UserError` if the folder exists (unless `force`) or the plan is impossible.
     """
     twin = Twin(plan.model, plan.timing, plan.experiment)
+    _compile(plan)
+    begun_s = time.perf_counter()
     if out is None:
         for _ in _chunks(twin, plan.ticks, progress):
             pass
-        return f'ran {plan.ticks} ticks, not recorded (no --out)'
+        loop_s = time.perf_counter() - begun_s
+        return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
     with RecordingWriter(out, plan.attachments('inprocess'), force) as writer:
-        return record(writer, twin, plan, progress)
+        recorder = SignalRecorder(writer, plan.timing)
+        for signals in _chunks(twin, plan.ticks, progress):
+            recorder.write(signals)
+        loop_s = time.perf_counter() - begun_s
+        return Outcome(recorder.close(plan.ticks), loop_s)
 
 
-def record(writer: RecordingWriter, twin: Twin, plan: Plan, progress: Progress) -> str:
-    """Run a twin and write its messages; return the closing line of the completeness check."""
-    recorder = SignalRecorder(writer, plan.timing)
-    for signals in _chunks(twin, plan.ticks, progress):
-        recorder.write(signals)
-    return recorder.close(plan.ticks)
+def _compile(plan: Plan) -> None:
+    """Compile the loop, or load it from disk, on a twin of its own."""
+    Twin(plan.model, plan.timing, plan.experiment).advance(1)
 
 
 def _chunks(twin: Twin, ticks: int, progress: Progress):  # type: ignore[no-untyped-def]

@@ -119,7 +119,7 @@ def replay_over_ros(
     )
     ticks = min(ticks, plan.ticks)
     others = tuple(name for name in NODES if name != node)
-    options = RosOptions(without=others, overrides={'plant': {'start_paused': False}})
+    options = RosOptions(without=others, overrides={'plant': {'start_paused': False, 'recorder_window': 0}})
     with contextlib.ExitStack() as stack:
         domain = Domain()
         stack.callback(domain.release)

@@ -27,7 +27,7 @@ import yaml
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import (
     SIGN_OF_LIFE_PERIOD_S,
@@ -37,7 +37,7 @@ from waferbot_lockstep.node import (
 )
 
 from waferbot_twin.engines.domain import Domain
-from waferbot_twin.plan import Plan
+from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import close_complete
 from waferbot_twin.recording.recorder import Recorder
 from waferbot_twin.recording.writer import RecordingWriter
@@ -74,9 +74,9 @@ def run(
     force: bool,
     progress: Progress,
     options: RosOptions | None = None,
-) -> str:
+) -> Outcome:
     """
-    Run a plan over ROS, recording to `out` if given; return the recorder's closing line.
+    Run a plan over ROS, recording to `out` if given.
 
     Raises `UserError` with the reason of the node that stopped, if one did; the recording up to
     there is closed and readable.
@@ -101,10 +101,10 @@ def run(
             ComposedNodes(plan, options) if options.composed else SeparateProcesses(plan, options)
         )
         stack.callback(members.end)
-        _Conductor(plan, recorder, members, interrupt, progress).run()
+        loop_s = _Conductor(plan, recorder, members, interrupt, progress).run()
         if writer is None:
-            return f'ran {plan.ticks} ticks, not recorded (no --out)'
-        return close_complete(writer, recorder.account, plan.ticks)
+            return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
+        return Outcome(close_complete(writer, recorder.account, plan.ticks), loop_s)
 
 
 class _Conductor:
@@ -126,20 +126,22 @@ class _Conductor:
         self._executor = make_executor()
         self._release = recorder.create_client(SetBool, 'plant/pause')
 
-    def run(self) -> None:
+    def run(self) -> float:
+        """Run to the end; return the wall time of the loop in seconds."""
         self._executor.add_node(self._recorder)
         self._members.begin(self._executor)
         try:
             self._spin_until(lambda: self._recorder.begun, STARTUP_TIMEOUT_S, 'start')
             self._let_go()
-            self._spin_until(self._finished, None, 'run')
+            begun_s = time.perf_counter()
+            self._spin_until(self._everything_recorded, None, 'run')
+            loop_s = time.perf_counter() - begun_s
+            self._spin_until(lambda: not self._members.alive(), None, 'run')
+            return loop_s
         finally:
             self._executor.remove_node(self._recorder)
             self._members.leave(self._executor)
             self._executor.shutdown(0.0)
-
-    def _finished(self) -> bool:
-        return not self._members.alive() and self._everything_recorded()
 
     def _everything_recorded(self) -> bool:
         return not any(self._recorder.account.missing(self._plan.ticks).values())
@@ -338,7 +340,7 @@ def _layout(
         'startup_timeout_s': STARTUP_TIMEOUT_S,
     }
     extra: dict[str, dict[str, Any]] = {
-        'plant': {'start_paused': True},
+        'plant': {'start_paused': True, 'recorder_window': RECORDER_WINDOW},
         'pmac': {'experiment': plan.experiment.text},
         'copley': {},
     }

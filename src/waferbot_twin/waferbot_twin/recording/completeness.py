@@ -62,8 +62,13 @@ class Account:
 
     def complete_until(self) -> int:
         """Return the first tick at which something is missing, judging by the newest messages."""
-        return min(
-            tick + self.spacing(topic) for topic, last in self._last.items() for tick in last
+        return max(
+            0,
+            min(
+                self.spacing(topic) + tick if tick >= 0 else 0
+                for topic, last in self._last.items()
+                for tick in last
+            ),
         )
 
 

@@ -2,8 +2,8 @@
 """
 The recorder: a node that listens to the twin and writes every message as it came over the wire.
 
-It takes the messages as bytes and never turns them into objects. Nobody waits for it, so its
-histories are deep; that nothing was lost is not assumed but counted, tick by tick.
+It takes the messages as bytes and never turns them into objects. Only the plant waits for it, when it
+falls too far behind; that nothing was lost is not assumed all the same, but counted, tick by tick.
 """
 
 from __future__ import annotations
@@ -12,12 +12,20 @@ from collections.abc import Callable
 from typing import Any
 
 import waferbot_msgs.msg
+from rclpy.clock import Clock as WallClock
+from rclpy.clock import ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from waferbot_lockstep.contract import CONTRACT_TOPICS, STOP_TOPIC, Topic
+from waferbot_lockstep.contract import (
+    CONTRACT_TOPICS,
+    RECORDED_TOPIC,
+    RECORDER_WINDOW,
+    STOP_TOPIC,
+    Topic,
+)
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.node import lockstep_qos
+from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, lockstep_qos
 from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES, stamp_of
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
@@ -25,8 +33,8 @@ from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.writer import RecordingWriter
 
-HISTORY_DEPTH = 20000
-"""Messages that may wait for the recorder: the fastest topic for more than a second."""
+ANNOUNCE_TICKS = RECORDER_WINDOW // 8
+"""Ticks between two announcements of how far the recording has come."""
 
 
 class Recorder(Node):
@@ -45,6 +53,13 @@ class Recorder(Node):
         self.stop_reason = ''
         self.failure = ''
         self._writer = writer
+        self._timing = timing
+        self._recorded_publisher = self.create_publisher(
+            waferbot_msgs.msg.Recorded, RECORDED_TOPIC, lockstep_qos()
+        )
+        self.create_timer(
+            SIGN_OF_LIFE_PERIOD_S, self._announce, clock=WallClock(clock_type=ClockType.STEADY_TIME)
+        )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
         for topic in CONTRACT_TOPICS:
             message_type = getattr(waferbot_msgs.msg, topic.message)
@@ -71,7 +86,7 @@ class Recorder(Node):
         if self._writer is not None:
             self._writer.add_topic(self.resolve_topic_name(name), type_name)
         self.create_subscription(
-            message_type, name, callback, lockstep_qos(HISTORY_DEPTH), raw=True
+            message_type, name, callback, lockstep_qos(), raw=True
         )
 
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
@@ -87,6 +102,8 @@ class Recorder(Node):
             if account.is_new(topic, tick, valid):
                 if tick > self.tick:
                     self.tick = tick
+                    if tick % ANNOUNCE_TICKS == 0:
+                        self._announce()
                 if writer is not None:
                     writer.write(name, stamp_ns, wire.normalised(data))
 
@@ -104,6 +121,14 @@ class Recorder(Node):
                     writer.write(name, stamp_ns, data)
 
         return on_message
+
+    def _announce(self) -> None:
+        """Tell the plant how far the recording has come."""
+        tick = self.account.complete_until()
+        message = waferbot_msgs.msg.Recorded(tick=tick)
+        stamp_ns = self._timing.stamp_ns(tick)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._recorded_publisher.publish(message)
 
     def _on_stop(self, stop: Any) -> None:
         if not self.stop_reason:
