@@ -15,7 +15,6 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config', glob('config/*.*')),
         ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
-        ('share/' + package_name + '/urdf', glob('urdf/*.*')),
     ],
     install_requires=['setuptools'],
     zip_safe=True,

@@ -29,7 +29,7 @@ HISTORY_DEPTH = 1024
 """Depth of the reliable, volatile, keep-last history of the lock-step topics, in messages."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # each topic is one object, looked up several times a tick
 class Topic:
     """
     One topic of the contract.

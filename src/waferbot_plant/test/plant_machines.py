@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 
 from waferbot_plant.plant import Machine
@@ -107,6 +108,41 @@ def write_pendulum(**more: Any) -> Path:
     )
 
 
+def random_tree(random: np.random.Generator, size: int) -> dict[str, Any]:
+    """Return a tree of `size` bodies, each on a joint of random kind, place and parent."""
+    bodies, joints = {}, {}
+    for number in range(size):
+        weights = random.uniform(0.2, 2.0, 6)
+        centre = random.uniform(-0.5, 0.5, 3)
+        spread = random.normal(0.0, 0.1, (6, 3))
+        spread -= weights @ spread / weights.sum()
+        tensor = sum(
+            w * (s @ s * np.eye(3) - np.outer(s, s)) for w, s in zip(weights, spread, strict=True)
+        )
+        bodies[f'body_{number}'] = {
+            'mass_kg': float(weights.sum()),
+            'centre_of_gravity_m': centre.tolist(),
+            'inertia_kg_m2': {
+                axes: float(tensor['xyz'.index(axes[0]), 'xyz'.index(axes[1])])
+                for axes in ('xx', 'yy', 'zz', 'xy', 'xz', 'yz')
+            },
+        }
+        parent = int(random.integers(-1, number)) if number else -1
+        joints[f'joint_{number}'] = {
+            'parent': f'body_{parent}' if parent >= 0 else 'base',
+            'child': f'body_{number}',
+            'at_m': random.uniform(-0.5, 0.5, 3).tolist(),
+            'freedoms': {
+                f'q_{number}': {
+                    'type': str(random.choice(['revolute', 'revolute', 'prismatic'])),
+                    'axis': random.normal(0.0, 1.0, 3).tolist(),
+                }
+            },
+        }
+    gravity = random.normal(0.0, 6.0, 3).tolist()
+    return {'name': 'random tree', 'gravity_m_s2': gravity, 'bodies': bodies, 'joints': joints}
+
+
 def axes_and_motors(machine: Machine) -> set[str]:
     """Return the coordinates that move far: axes and rotors, not the give of connections."""
     return {
@@ -122,13 +158,11 @@ class MujocoTwin:
 
     Every freedom is a joint with its spring and damper in MuJoCo's own terms; rotors are bodies
     with armature on hinges of their own; what a rigid transmission ties is put in by the
-    projection
-    q = B z on MuJoCo's full mass matrix and bias, so that no soft constraint enters.
+    projection q = B z on MuJoCo's full mass matrix and bias, so that no soft constraint enters.
     """
 
     def __init__(self, machine: Machine) -> None:
-        import mujoco
-
+        mujoco = pytest.importorskip('mujoco')
         self.mujoco = mujoco
         self.machine = machine
         description = machine.description

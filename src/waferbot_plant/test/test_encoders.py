@@ -11,24 +11,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from waferbot_lockstep.timing import Timing
 from waferbot_plant import encoders, plant
 from waferbot_plant.plant import load_machine
 
 
-def encoder_machine(**feedback):
+def encoder_machine(divider: int = 2, delay: int = 1):
     """Return a slide with an encoder of 1e6 counts per m and no gravity."""
     return load_machine(
         machines.write_single_mass(
             gravity_m_s2=[0, 0, 0],
             encoders={'y_linear': {'coordinate': 'travel', 'counts_per_m': 1.0e6}},
-            feedback=feedback,
-        )
+            feedback={'delay_cycles': delay},
+        ),
+        timing=Timing(encoder_divider=divider, servo_divider=4 * divider),
     )
 
 
 @pytest.mark.parametrize(('divider', 'delay'), [(2, 1), (1, 0), (2, 0), (3, 4), (2, 15)])
 def test_counts_are_those_of_earlier_encoder_ticks(divider: int, delay: int) -> None:
-    machine = encoder_machine(divider_ticks=divider, delay_cycles=delay)
+    machine = encoder_machine(divider, delay)
     parameters = machine.parameters()
     state = machine.initial_state(parameters)
     counts = np.zeros(4, np.int64)

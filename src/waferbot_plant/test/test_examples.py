@@ -17,8 +17,7 @@ def test_single_mass_on_a_motor_reaches_the_speed_of_theory() -> None:
     The step of a synchronous motor whose voltages turn with its electrical angle.
 
     In the frame that turns along: L di_q/dt = u - R i_q - k v - omega L i_d, L di_d/dt = omega L
-    i_q - R i_d,
-    m dv/dt = K i_q, solved here by small explicit steps.
+    i_q - R i_d, m dv/dt = K i_q, solved here by small explicit steps.
     """
     machine = load_machine('single_mass')
     parameters = machine.parameters()

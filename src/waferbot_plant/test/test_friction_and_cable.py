@@ -199,23 +199,28 @@ def test_stick_slip_agrees_with_an_event_driven_solution() -> None:
 
 
 def test_two_frictions_on_one_coordinate_share_the_loss() -> None:
-    machine = load_machine(
-        machines.write_single_mass(
-            gravity_m_s2=[0, 0, 0],
-            frictions={
-                'a': {'coordinate': 'travel', 'speed_m_s': [0], 'force_n': [3.0]},
-                'b': {'coordinate': 'travel', 'speed_m_s': [0], 'force_n': [1.0]},
-            },
-        )
-    )
+    """Payload and counterweight guide, tied by a rigid cable, stop 80 kg together."""
+    machine = load_machine('rigid')
     parameters = machine.parameters()
+    parameters[0]['gravity'] = 0.0
     state = machine.initial_state(parameters)
-    state[0]['velocity'][0] = 0.4
+    s = state[0]
+    s['terminals_open'][:] = 1
+    s['velocity'][0] = 0.05
+    for name, force in (('x_rotate', 1e3), ('y_rotate', 1e3)):
+        place = [friction.coordinate for friction in machine.description.frictions.values()]
+        parameters[0]['friction_resistance'][place.index(name), 0] = force
+    names = list(machine.description.frictions)
+    guides = [names.index('payload_guide'), names.index('counterweight_guide')]
+    resistance = parameters[0]['friction_resistance'][guides, 0]
     for _ in range(9000):
         plant.advance(state, parameters, NO_VOLTAGE)
-    assert state[0]['velocity'][0] == 0.0
-    energy = 0.5 * MASS * 0.4**2
-    assert state[0]['friction_loss'] == pytest.approx([0.75 * energy, 0.25 * energy], rel=1e-9)
+    assert s['velocity'][0] == 0.0
+    energy = 0.5 * 80.0 * 0.05**2
+    assert s['friction_loss'][guides] == pytest.approx(
+        energy * resistance / resistance.sum(), rel=1e-9
+    )
+    assert s['position'][0] == pytest.approx(energy / resistance.sum(), rel=1e-6)
 
 
 def test_machine_at_rest_in_its_bearings_does_not_creep() -> None:

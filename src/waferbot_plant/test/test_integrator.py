@@ -10,7 +10,7 @@ import plant_machines as machines
 import pytest
 from numba import njit
 
-from waferbot_plant import plant
+from waferbot_plant import audit, plant
 from waferbot_plant.plant import advance, load_machine
 
 MODELS = ['rigid', 'simplified', 'flexible']
@@ -45,21 +45,18 @@ def drive(model, ticks, amplitude=(8.0, 8.0, 3.0), **more):
 def test_energy_supplied_is_energy_stored_and_lost(model: str) -> None:
     """All losses on, driven hard for a second: the books balance to 1e-6 (here to 1e-8)."""
     machine, parameters, state, _ = drive(model, 18000, (60.0, 60.0, 20.0))
-    s = state[0]
-    start, stored = np.zeros(4), np.zeros(4)
-    plant.energy(state, parameters, stored)
     first = machine.initial_state(parameters, {}, holding=True)
-    plant.energy(first, parameters, start)
-    supplied = s['electrical_energy'].sum() + s['external_work']
-    losses = [
-        s[name].sum() for name in ('copper_loss', 'spring_loss', 'cable_loss', 'friction_loss')
-    ]
-    balance = supplied - sum(losses) - (stored.sum() - start.sum())
+    before = audit.books(machine, first, parameters)
+    after = audit.books(machine, state, parameters)
+    supplied = sum(after.supplied.values())
+    balance = audit.imbalance(before, after)
     print('balance over energy supplied', balance / supplied)
     assert supplied > 100.0
     assert abs(balance) < 1e-8 * supplied
-    for name in ('copper_loss', 'spring_loss', 'friction_loss'):
-        assert (s[name] >= -1e-12).all()
+    powers = audit.loss_powers(before, after, 1.0)
+    assert min(powers.values()) > -1e-12
+    assert powers['x_rotate copper'] > 1.0
+    assert sum(powers.values()) == pytest.approx(supplied, rel=0.1)
 
 
 @pytest.mark.parametrize('model', MODELS)

@@ -63,8 +63,7 @@ class Assembly:
     A machine in minimal coordinates.
 
     `coordinates` names z in order; `placing` gives for every coordinate of the description that
-    can
-    move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no
+    can move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no
     stiffness.
     """
 
@@ -113,13 +112,13 @@ def build_links(description: Description, flexible: set[str]) -> list[Link]:
     while waiting:
         joint = next(joint for joint in waiting if joint.parent in link_of)
         waiting.remove(joint)
-        link = link_of[joint.parent]
+        place = link_of[joint.parent]
         for freedom in joint.freedoms:
             if not freedom.connections or flexible.intersection(freedom.connections):
                 nothing = np.zeros(3), np.zeros((3, 3))
-                links.append(Link(freedom, link, joint.at, 0.0, *nothing))
-                link = len(links) - 1
-        link_of[joint.child] = link
+                links.append(Link(freedom, place, joint.at, 0.0, *nothing))
+                place = len(links) - 1
+        link_of[joint.child] = place
     for body in description.bodies.values():
         if link_of[body.name] >= 0:
             link = links[link_of[body.name]]
@@ -186,8 +185,7 @@ class Behaviour:
     How the elastic parts of a machine behave by themselves, whatever else is switched rigid.
 
     Taken from the machine at home with every connection flexible: the mass matrix, the weight on
-    each
-    coordinate, and from them each connection's stiffness, damping and first frequency.
+    each coordinate, and from them each connection's stiffness, damping and first frequency.
     """
 
     def __init__(self, description: Description) -> None:
@@ -354,8 +352,7 @@ def stages_seen_at_output(
     Return the flexible connections of a transmission with their stiffness seen at its driven end.
 
     A stage deflects by `lever` times its motion out, so that it has the stiffness k lever^2 there;
-    a
-    following stage of ratio r makes it k lever^2 / r^2.
+    a following stage of ratio r makes it k lever^2 / r^2.
     """
     seen = []
     following = 1.0

@@ -141,8 +141,7 @@ class Connection:
 
     Damping is either viscous (`damping`, N s/m or Nm s/rad) or structural (`loss_factor`), which
     becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
-    the
-    coordinates `free` may follow; in a joint, all others are held.
+    the coordinates `free` may follow; in a joint, all others are held.
     """
 
     name: str
@@ -214,7 +213,6 @@ class Description:
     name: str
     gravity: Vector
     substeps: int
-    encoder_divider: int
     encoder_delay: int
     bodies: Mapping[str, Body]
     joints: Mapping[str, Joint]
@@ -240,9 +238,9 @@ def load_description(
     Read and check a description.
 
     A file may say `extends: other.yaml` and then gives only what differs. `switches` sets the
-    state
-    of connections, by name or for all at once; `damping` picks between two-valued quantities;
-    `overlays` are laid over the file in turn. Raises `UserError` naming file, line and key.
+    state of connections, by name or for all at once; `damping` picks between two-valued
+    quantities; `overlays` are laid over the file in turn. Raises `UserError` naming file, line and
+    key.
     """
     document = _read_chain(path, ())
     for overlay in overlays:
@@ -416,7 +414,6 @@ class _Reader:
             name=self.data['name'],
             gravity=np.array(self.data.get('gravity_m_s2', [0.0, -9.81, 0.0]), float),
             substeps=int(self.data.get('substeps', 1)),
-            encoder_divider=int(feedback.get('divider_ticks', 2)),
             encoder_delay=int(feedback.get('delay_cycles', 1)),
             bodies=self.bodies,
             joints=self.joints,

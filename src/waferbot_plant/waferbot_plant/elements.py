@@ -15,16 +15,18 @@ from __future__ import annotations
 
 from numba import njit
 
+LONGEST_TABLE = 16
+"""Most points that a table of friction can have."""
 
-def parameter_fields(springs: int, cables: int, frictions: int, points: int) -> list[tuple]:
+
+def parameter_fields(springs: int, cables: int, frictions: int) -> list[tuple]:
     """
     Return the dtype fields of the elements.
 
     A spring or cable deflects by first_ratio * z[first] + second_ratio * z[second] from its
-    `rest`;
-    stiffness in N/m (Nm/rad), damping in N s/m (Nm s/rad). A friction acts on `ratio` times one
-    coordinate with a table of resistance (N, Nm) over speed, and `breakaway` times its first
-    value.
+    `rest`; stiffness in N/m (Nm/rad), damping in N s/m (Nm s/rad). A friction acts on `ratio`
+    times one coordinate with a table of resistance (N, Nm) over speed, and `breakaway` times its
+    first value.
     """
     two_sided = [
         ('first', 'i8'), ('second', 'i8'), ('first_ratio', 'f8'), ('second_ratio', 'f8'),
@@ -36,8 +38,8 @@ def parameter_fields(springs: int, cables: int, frictions: int, points: int) -> 
         ('friction_coordinate', 'i8', (frictions,)),
         ('friction_ratio', 'f8', (frictions,)),
         ('friction_points', 'i8', (frictions,)),
-        ('friction_speed', 'f8', (frictions, points)),
-        ('friction_resistance', 'f8', (frictions, points)),
+        ('friction_speed', 'f8', (frictions, LONGEST_TABLE)),
+        ('friction_resistance', 'f8', (frictions, LONGEST_TABLE)),
         ('friction_breakaway', 'f8', (frictions,)),
     ]
 
@@ -48,8 +50,7 @@ def state_fields(springs: int, cables: int, frictions: int, coordinates: int) ->
 
     `sliding` is +1 or -1 with the direction of a sliding coordinate and 0 where it is stuck;
     `friction_force` is what friction does on a coordinate (N, Nm), `cable_force` the mean tension
-    of
-    the last step (N). Losses are energies since the start, J.
+    of the last step (N). Losses are energies since the start, J.
     """
     return [
         ('sliding', 'i8', (coordinates,)),
@@ -128,9 +129,8 @@ def judge_cables(s, p, middle, speed):
 
     Appendix C of the thesis: in tension f = k e + f_d with f_d = d e' bounded by the spring force,
     |f_d| <= k e; slack f = 0. So within its bound it is a spring-damper; at the bounds it is a
-    spring
-    of 2 k while it stretches fast, and no force while it shortens fast: a damper never makes a
-    cable push.
+    spring of 2 k while it stretches fast, and no force while it shortens fast: a damper never
+    makes a cable push.
     """
     for cable in range(len(p['cable_first'])):
         elongation = cable_elongation(p, cable, middle)
@@ -176,11 +176,10 @@ def tension_in_crossing(start, free_end, compliance, stiffness):
     Return the mean tension of a cable that goes slack or becomes taut within a step, N.
 
     `start` and `free_end` are the elongations at both ends of the step, the latter without any
-    tension
-    (m), of opposite sign; each newton of mean tension shortens the end by `compliance` (m/N). The
-    tension is the difference quotient of the stored energy U(e) = k max(e, 0)^2 / 2 over the step,
-    so
-    that the cable gives back exactly what was stored in it, wherever in the step the change falls.
+    tension (m), of opposite sign; each newton of mean tension shortens the end by `compliance`
+    (m/N). The tension is the difference quotient of the stored energy U(e) = k max(e, 0)^2 / 2
+    over the step, so that the cable gives back exactly what was stored in it, wherever in the step
+    the change falls.
     """
     if start > 0.0:
         # slack at the end: f (start - free_end + f c) = k start^2 / 2

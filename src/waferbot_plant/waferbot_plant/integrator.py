@@ -13,16 +13,13 @@ electrical angles are taken at z + h/2 z' and the speed expected from the last s
 
 - Second order. One evaluation of the mechanism and one factorisation per step.
 - No stiffness makes it unstable, and it adds no damping of its own: energy supplied equals energy
-  stored
-  plus energy lost to rounding for the linear part (springs, windings, force times speed of the
-  motors),
-  and to second order in h for the rest. An oscillation of frequency f comes out low by
-  (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
+  stored plus energy lost to rounding for the linear part (springs, windings, force times speed of
+  the motors), and to second order in h for the rest. An oscillation of frequency f comes out low
+  by (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
 - Dry friction is found with dz', not before it: a coordinate is stuck if some force within its
-  limits
-  holds it, and then its speed is zero exactly; otherwise friction acts with full strength against
-  the
-  speed. So a coordinate comes to rest within the step and there is no creep and no chatter.
+  limits holds it, and then its speed is zero exactly; otherwise friction acts with full strength
+  against the speed. So a coordinate comes to rest within the step and there is no creep and no
+  chatter.
 
 Source: the implicit midpoint rule, E. Hairer, C. Lubich, G. Wanner, Geometric Numerical
 Integration, Springer 2006; friction as a set-valued force, J. J. Moreau, in Nonsmooth Mechanics
@@ -54,8 +51,7 @@ def state_fields(coordinates: int) -> list[tuple]:
 
     `position`, `velocity` (n,) in m, rad, m/s, rad/s; `velocity_change` that of the last step;
     `external_force` (n,) an outside force on each coordinate, N or Nm, held until changed, whose
-    work
-    is booked in `external_work`, J.
+    work is booked in `external_work`, J.
     """
     return [
         ('position', 'f8', (coordinates,)),
@@ -102,8 +98,7 @@ def advance_step(s, p, voltage, step):
     limit_friction(s, p, mean)
 
     _find_velocity_change(s, p, step)
-    if len(p['cable_first']) > 0:
-        _let_cables_change(s, p, step)
+    _let_cables_change(s, p, step)
 
     for row in range(size):
         mean[row] = velocity[row] + 0.5 * change[row]
@@ -125,10 +120,9 @@ def _find_velocity_change(s, p, step):
 
     Starts from the directions of sliding of the last step and turns over those that do not fit: a
     stuck coordinate whose holding force exceeds its limit slides, a sliding one whose speed
-    changes sign
-    sticks. Once let go, a coordinate is held by sliding friction only, in this step. After a few
-    rounds only the first misfit is turned over, which is sure to end (Murty's rule: A is positive
-    definite).
+    changes sign sticks. Once let go, a coordinate is held by sliding friction only, in this step.
+    After a few rounds only the first misfit is turned over, which is sure to end (Murty's rule: A
+    is positive definite).
     """
     size = len(s['position'])
     for row in range(size):
@@ -254,10 +248,8 @@ def _let_cables_change(s, p, step):
     Solve the step again for a cable that goes slack or becomes taut within it.
 
     The step without the cable gives the elongation at its end, free of tension; the mean tension
-    that
-    conserves the cable's energy follows in closed form. One cable after another; two that change
-    in
-    the same step see each other's change only as judged.
+    that conserves the cable's energy follows in closed form. One cable after another; two that
+    change in the same step see each other's change only as judged.
     """
     response = s['response']
     for cable in range(len(p['cable_first'])):

@@ -128,8 +128,7 @@ def coupled_modes(machine: Machine, positions: Mapping[str, float] | None = None
     Return the modes of the machine with the axes free at a pose, by rising frequency.
 
     Modes without elastic energy to speak of (the axes moving, perhaps swinging under gravity) are
-    left
-    out: those whose frequency is below 1e-4 of the highest, or whose stiffness is negative.
+    left out: those whose frequency is below 1e-4 of the highest, or whose stiffness is negative.
     """
     parameters = machine.parameters()
     state = machine.initial_state(parameters, positions)

@@ -98,10 +98,8 @@ def begin_step(s, p, position, voltage, step):
 
     linear in the mean speed v, which comes out of the mechanism's equations only later. `position`
     (n,) holds the coordinates at the middle of the step, `voltage` (9,) the terminal voltages. An
-    open
-    terminal carries no current; the energy of the windings goes back to the amplifier within one
-    step
-    (really, through its diodes, in a few).
+    open terminal carries no current; the energy of the windings goes back to the amplifier within
+    one step (really, through its diodes, in a few).
     """
     for motor in range(MOTORS):
         winding = p['winding'][motor]

@@ -49,9 +49,8 @@ def parameter_fields(links: int, coordinates: int) -> list[tuple]:
 
     `parent` counts links from 1, 0 is the base. `offset` leads from the parent's point to the
     link's, m; `first_moment` is mass times centre of gravity from the link's point, kg m;
-    `inertia`
-    is the tensor about that point (xx, yy, zz, xy, xz, yz), kg m2; `rotor_inertia` is what spins
-    with a coordinate and nothing else, kg m2.
+    `inertia` is the tensor about that point (xx, yy, zz, xy, xz, yz), kg m2; `rotor_inertia` is
+    what spins with a coordinate and nothing else, kg m2.
     """
     return [
         ('gravity', 'f8', (3,)),
@@ -189,7 +188,7 @@ def mass_matrix_and_bias(s, p, position, velocity):
 
 @njit(cache=True, error_model='numpy')
 def _place_link(s, p, link, position, velocity):
-    """Set pose, joint axis, twist and velocity-product acceleration of a link from its parent's."""
+    """Set pose, axis, twist and velocity-product acceleration of a link from its parent's."""
     rotation = s['rotation']
     point = s['point']
     motion = s['motion']
@@ -399,8 +398,8 @@ def factorise(matrix):
     Factorise a symmetric positive definite matrix (n, n) in place, A = L' D L, lower triangle.
 
     Eliminates from the last row up, children before parents: the zeros between branches of the
-    tree
-    then stay zeros, and rows that a link does not touch are skipped (Featherstone, section 6.5).
+    tree then stay zeros, and rows that a link does not touch are skipped (Featherstone, section
+    6.5).
     """
     for pivot in range(len(matrix) - 1, 0, -1):
         inverse = 1.0 / matrix[pivot, pivot]

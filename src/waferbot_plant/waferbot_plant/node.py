@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import KeyValue
 from rosgraph_msgs.msg import Clock as ClockMessage
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from waferbot_msgs.msg import Recorded
 from waferbot_lockstep.contract import (
@@ -42,6 +44,7 @@ from waferbot_lockstep.standard_messages import (
 )
 
 from waferbot_plant import plant
+from waferbot_plant.urdf import urdf
 
 PLANT_SETTINGS = (
     Parameter(
@@ -91,6 +94,9 @@ class PlantNode(LockstepNode):
         self._warm_up(machine)
         self._clock_publisher = self.create_publisher(ClockMessage, CLOCK[0], lockstep_qos())
         self._joint_publisher = self.create_publisher(JointState, JOINT_STATES[0], lockstep_qos())
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._description_publisher = self.create_publisher(String, 'robot_description', latched)
+        self._description_publisher.publish(String(data=urdf(machine.description)))
         self.create_service(SetBool, '~/pause', self._on_pause)
         if self._recorder_window:
             self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())

@@ -40,8 +40,7 @@ def measure(state, parameters, tick, counts, line_currents):
 
     `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
     ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of
-    each
-    motor, A, positive into the motor. Places of axes that the machine does not have are zero.
+    each motor, A, positive into the motor. Places of axes that the machine does not have are zero.
     """
     s = state[0]
     p = parameters[0]
@@ -90,8 +89,7 @@ def generalised_forces(state, parameters, result):
     Fill `result` (n,) with the forces on z at the present state, N or Nm.
 
     Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction,
-    motors
-    and `external_force`.
+    motors and `external_force`.
     """
     s = state[0]
     p = parameters[0]
@@ -151,12 +149,11 @@ class Machine:
 
     @cached_property
     def _sizes(self) -> dict[str, int]:
-        """Sizes of the arrays; at least one of everything, so that no array is empty."""
-        frictions = self.description.frictions.values()
+        """Numbers of elements; one at least of each, without effect, so that no array is empty."""
         return {
             'springs': max(1, len(self.assembly.springs)),
-            'frictions': max(1, len(frictions)),
-            'points': max((len(friction.speeds) for friction in frictions), default=1),
+            'cables': max(1, len(self.assembly.cables)),
+            'frictions': max(1, len(self.description.frictions)),
         }
 
     @cached_property
@@ -168,7 +165,7 @@ class Machine:
                 ('step', 'f8'),
                 ('substeps', 'i8'),
                 *multibody.parameter_fields(links, size),
-                *elements.parameter_fields(cables=len(self.assembly.cables), **self._sizes),
+                *elements.parameter_fields(**self._sizes),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
@@ -186,12 +183,7 @@ class Machine:
                 *integrator.state_fields(size),
                 *motors.STATE_FIELDS,
                 *encoders.STATE_FIELDS,
-                *elements.state_fields(
-                    self._sizes['springs'],
-                    len(self.assembly.cables),
-                    self._sizes['frictions'],
-                    size,
-                ),
+                *elements.state_fields(**self._sizes, coordinates=size),
                 *multibody.workspace_fields(links, size),
             ],
             align=True,
@@ -208,12 +200,12 @@ class Machine:
         self._fill_elements(p)
         for place, axis in enumerate(AXES):
             if axis in description.axes:
-                coordinate = description.axes[axis]
-                p['axis_coordinate'][place], p['axis_ratio'][place] = self._placing(coordinate)
+                row, ratio = self._placing(description.axes[axis])
+                p['axis_coordinate'][place], p['axis_ratio'][place] = row, ratio
             if axis in description.motors:
                 motor = description.motors[axis]
-                coordinate, ratio = self._placing(motor.coordinate)
-                p['motor_coordinate'][place], p['motor_ratio'][place] = coordinate, ratio
+                row, ratio = self._placing(motor.coordinate)
+                p['motor_coordinate'][place], p['motor_ratio'][place] = row, ratio
                 p['electrical_gain'][place] = motor.electrical_gain
                 (
                     p['winding'][place],
@@ -224,10 +216,10 @@ class Machine:
         for place, place_name in enumerate(ENCODERS):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
-                coordinate, ratio = self._placing(encoder.coordinate)
-                p['encoder_coordinate'][place] = coordinate
+                row, ratio = self._placing(encoder.coordinate)
+                p['encoder_coordinate'][place] = row
                 p['counts_per_unit'][place] = encoder.counts_per_unit * ratio
-        p['encoder_divider'] = description.encoder_divider
+        p['encoder_divider'] = self.timing.encoder_divider
         p['encoder_delay'] = description.encoder_delay
         return parameters
 
@@ -276,10 +268,8 @@ class Machine:
         Return a state at rest, with the encoders' history filled with it.
 
         At home, or with the axes at `positions` (axis name to m or rad) and everything that gives
-        in
-        static equilibrium. Without `holding` no current flows, and the machine begins to fall
-        where
-        gravity moves an axis; with it the windings carry the currents that hold the axes.
+        in static equilibrium. Without `holding` no current flows, and the machine begins to fall
+        where gravity moves an axis; with it the windings carry the currents that hold the axes.
         """
         state = np.zeros(1, self.state_dtype)
         if positions or holding:
@@ -360,9 +350,9 @@ def load_machine(
     """
     Load a machine by the name of a description that comes with the package, or by its path.
 
+    `timing` gives the length of a tick and how many lie between two readings of the encoders.
     `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
-    or
-    `improved`; `overlays` are files or mappings laid over the description in turn. Raises
+    or `improved`; `overlays` are files or mappings laid over the description in turn. Raises
     `UserError`.
     """
     documents = tuple(

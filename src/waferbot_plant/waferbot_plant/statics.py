@@ -39,8 +39,7 @@ def settle(
     Put `state` at rest with the axes at `positions` (m, rad; home where not given).
 
     With `holding`, the windings get the currents that hold it. Raises `UserError` for an unknown
-    axis,
-    and where holding is asked of an axis that has no motor.
+    axis, and where holding is asked of an axis that has no motor.
     """
     description = machine.description
     for axis in positions:

@@ -86,7 +86,7 @@ def _draw_current(panel: Axes, response: AxisResponse) -> None:
         color=COMMAND_COLOUR, label='command',
     )  # fmt: skip
     panel.plot(
-        response.tick_time, response.current, color=MEASURED_COLOUR, lw=0.8, label='|line current|'
+        response.tick_time, response.current, color=MEASURED_COLOUR, lw=0.8, label='measured'
     )
     panel.set_ylabel('current [A]')
     panel.legend(loc='upper right', fontsize=8)

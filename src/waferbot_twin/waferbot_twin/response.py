@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import (
     AXES,
     CURRENT_COMMAND,
@@ -28,8 +29,8 @@ class AxisResponse:
     One axis of a recording. Arrays over time in s; positions in m or rad, currents in A.
 
     `position` is what the position encoder counted, shifted by its one phase cycle of delay, so that
-    it stands at the time at which the axis was there. `current` is the amplitude of the line
-    currents (peak of the sine, without sign).
+    it stands at the time at which the axis was there. `current` is the part of the measured line
+    currents that makes force: their projection on the commutation's sine, positive drives forward.
     """
 
     axis: str
@@ -70,7 +71,9 @@ class AxisResponse:
 def axis_responses(recording: Recording) -> list[AxisResponse]:
     """Return the three axes of a recording; raises `UserError` if a contract topic is missing."""
     timing = recording.timing
-    servo = servo_parameters(recorded_model(recording).of_axes('pmac'), str(recording.path))[0]
+    model = recorded_model(recording)
+    servo = servo_parameters(model.of_axes('pmac'), str(recording.path))[0]
+    amplifier = amplifier_parameters(model.of_axes('copley'), timing, str(recording.path))[0]
     encoders, currents = recording[ENCODERS_TOPIC], recording[PHASE_CURRENTS]
     servo_state, command = recording[SERVO_STATE], recording[CURRENT_COMMAND]
     delay_s = timing.encoder_divider * timing.tick_s
@@ -78,7 +81,6 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
     for place, axis in enumerate(AXES):
         per_unit = servo['counts_per_unit'][place]
         encoder = int(servo['Ixx03'][place])
-        one, two = currents['current'][:, 2 * place], currents['current'][:, 2 * place + 1]
         responses.append(
             AxisResponse(
                 axis,
@@ -90,7 +92,29 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
                 servo_state['following_error'][:, place] / per_unit,
                 command['current'][:, place],
                 currents['tick'] / timing.current_loop_hz,
-                np.sqrt(4.0 / 3.0 * (one * one + one * two + two * two)),
+                _driving_current(currents, place, amplifier, encoders),
             )
         )
     return responses
+
+
+def _driving_current(
+    currents: np.ndarray, axis: int, amplifier: np.void, encoders: np.ndarray
+) -> np.ndarray:
+    """
+    Return 2/3 sum_k i_k sin(theta - 2 pi (k - 1) / 3) in A, from the two measured lines of an axis.
+
+    theta is the electrical angle that the amplifier uses: newest counts, held between messages.
+    """
+    encoder = amplifier['commutation_encoder'][axis]
+    rows = np.searchsorted(encoders['tick'], currents['tick'], side='right') - 1
+    counts = encoders['counts'][np.maximum(rows, 0), encoder]
+    cycle = amplifier['counts_per_electrical_cycle'][axis]
+    turn = counts / cycle + amplifier['commutation_offset_turn'][axis]
+    theta = 2.0 * np.pi * (turn % 1.0)
+    one, two = currents['current'][:, 2 * axis], currents['current'][:, 2 * axis + 1]
+    projected = sum(
+        current * np.sin(theta - 2.0 * np.pi * phase / 3.0)
+        for phase, current in enumerate((one, two, -(one + two)))
+    )
+    return 2.0 / 3.0 * projected

@@ -91,5 +91,5 @@ def count_missing(recording: Recording) -> int:
         if array is None:
             continue
         for tick, valid in zip(array['tick'].tolist(), array['valid'].tolist(), strict=True):
-            account.is_new(topic, tick, valid)
+            account.topics[topic].is_new(tick, valid)
     return sum(account.missing(recording.ticks).values())

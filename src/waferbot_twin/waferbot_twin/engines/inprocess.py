@@ -277,8 +277,9 @@ class SignalRecorder:
             for name, column in zip(names, values, strict=True):
                 records[name] = column
             name = f'/{topic.name}'
+            account = self._account.topics[topic]
             for row, stamp in enumerate(stamps):
-                self._account.is_new(topic, int(records['tick'][row]), int(records['valid'][row]))
+                account.is_new(int(records['tick'][row]), int(records['valid'][row]))
                 messages.append((stamp, order, name, records[row].tobytes()))
         for row, tick in enumerate(signals.slow_ticks):
             stamp = self._timing.stamp_ns(tick)

@@ -15,60 +15,60 @@ from waferbot_lockstep.timing import Timing
 from waferbot_twin.recording.writer import RecordingWriter
 
 
+class TopicAccount:
+    """What has been recorded of one topic: the last tick of each place, and how many were due."""
+
+    def __init__(self, topic: Topic, timing: Timing) -> None:
+        """Begin with nothing recorded."""
+        # The slow topic must have a message every so often and may have more.
+        self.spacing = SLOW_DIVIDER if topic is AMPLIFIER_STATE else topic.ticks_between(timing)
+        self.last = [-1] * len(topic.places)
+        self.given = [0] * len(topic.places)
+
+    def is_new(self, tick: int, valid: int) -> bool:
+        """Note a message; return False if all it says has been recorded before."""
+        due = tick % self.spacing == 0
+        new = False
+        for place, last_tick in enumerate(self.last):
+            if tick > last_tick and valid >> place & 1:
+                self.last[place] = tick
+                self.given[place] += due
+                new = True
+        return new
+
+
 class Account:
-    """What has been recorded of each contract topic."""
+    """What has been recorded of each contract topic, in `topics`."""
 
     def __init__(self, timing: Timing) -> None:
         """Begin with nothing recorded."""
         self.timing = timing
-        self._last = {topic: [-1] * len(topic.places) for topic in CONTRACT_TOPICS}
-        self._due_given = {topic: [0] * len(topic.places) for topic in CONTRACT_TOPICS}
-
-    def is_new(self, topic: Topic, tick: int, valid: int) -> bool:
-        """Note a message; return False if all it says has been recorded before."""
-        last = self._last[topic]
-        spacing = self.spacing(topic)
-        new = False
-        for place, last_tick in enumerate(last):
-            if valid >> place & 1 and tick > last_tick:
-                last[place] = tick
-                new = True
-                if tick % spacing == 0:
-                    self._due_given[topic][place] += 1
-        return new
-
-    def spacing(self, topic: Topic) -> int:
-        """Return the ticks between the messages that must be there (the slow topic also has more)."""
-        return SLOW_DIVIDER if topic is AMPLIFIER_STATE else topic.ticks_between(self.timing)
+        self.topics = {topic: TopicAccount(topic, timing) for topic in CONTRACT_TOPICS}
 
     def begun(self) -> bool:
         """Tell whether every place of every topic has been given at least once."""
-        return all(tick >= 0 for last in self._last.values() for tick in last)
+        return all(tick >= 0 for topic in self.topics.values() for tick in topic.last)
 
     def missing(self, ticks: int) -> dict[str, int]:
         """Return, per topic, how many messages of the run's `ticks` ticks lack (places counted)."""
-        missing = {}
-        for topic in CONTRACT_TOPICS:
-            expected = self.timing.messages(ticks, self.spacing(topic))
-            missing[topic.name] = sum(expected - given for given in self._due_given[topic])
-        return missing
+        return {
+            topic.name: sum(self.timing.messages(ticks, own.spacing) - given for given in own.given)
+            for topic, own in self.topics.items()
+        }
 
     def expected(self, ticks: int) -> int:
         """Return how many places of messages a complete run of `ticks` ticks has."""
         return sum(
-            self.timing.messages(ticks, self.spacing(topic)) * len(topic.places)
-            for topic in CONTRACT_TOPICS
+            self.timing.messages(ticks, own.spacing) * len(own.last)
+            for own in self.topics.values()
         )
 
     def complete_until(self) -> int:
         """Return the first tick at which something is missing, judging by the newest messages."""
-        return max(
-            0,
-            min(
-                self.spacing(topic) + tick if tick >= 0 else 0
-                for topic, last in self._last.items()
-                for tick in last
-            ),
+        return min(
+            own.spacing + tick if tick >= 0 else 0
+            for own in self.topics.values()
+            for tick in own.last
         )
 
 

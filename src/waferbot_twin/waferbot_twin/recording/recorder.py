@@ -91,7 +91,7 @@ class Recorder(Node):
 
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(topic.name)
-        account, writer = self.account, self._writer
+        is_new, writer = self.account.topics[topic].is_new, self._writer
 
         def on_message(data: bytes) -> None:
             try:
@@ -99,7 +99,7 @@ class Recorder(Node):
             except UserError as error:
                 self.failure = f'topic {topic.name}: {error}'
                 return
-            if account.is_new(topic, tick, valid):
+            if is_new(tick, valid):
                 if tick > self.tick:
                     self.tick = tick
                     if tick % ANNOUNCE_TICKS == 0:
