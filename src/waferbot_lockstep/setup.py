@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from glob import glob
 
 from setuptools import find_packages, setup
 
@@ -20,6 +19,5 @@ setup(
     maintainer_email='maintainers@waferbot.invalid',
     description='The contract between the nodes, in code: time, topics, wire format, order of messages, parameters.',
     license='Apache-2.0',
-    entry_points={
-    },
+    entry_points={},
 )

@@ -28,6 +28,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.table import Table
+
 from waferbot_lockstep.node import lockstep_qos, make_executor
 from waferbot_lockstep.wire import WireFormat
 from waferbot_msgs.msg import PhaseCurrents, PhaseVoltages
@@ -38,7 +39,10 @@ PING_PONGS = 20000
 WARM_UP = 1000
 # Deliveries per tick: currents and voltages to 1, encoders to 2 at half rate, command to 1 at an
 # eighth; the recorder adds one of each, and servo_state.
-DELIVERIES_PER_TICK = {False: 1 + 1 + 2 / 2 + 1 / 8, True: (2 + 2 / 2 + 1 / 8) + (2 + 1 / 2 + 2 / 8)}
+DELIVERIES_PER_TICK = {
+    False: 1 + 1 + 2 / 2 + 1 / 8,
+    True: (2 + 2 / 2 + 1 / 8) + (2 + 1 / 2 + 2 / 8),
+}
 
 
 class Ping(Node):

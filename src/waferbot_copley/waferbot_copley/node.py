@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import SetBool, Trigger
+
+from waferbot_copley import amplifier
+from waferbot_copley.settings import amplifier_parameters, settings_of
 from waferbot_lockstep.contract import (
     ALL_ENCODERS,
     AMPLIFIER_STATE,
@@ -30,9 +33,6 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import LOCKSTEP, LockstepNode, run_node
-
-from waferbot_copley import amplifier
-from waferbot_copley.settings import amplifier_parameters, settings_of
 
 
 class CopleyNode(LockstepNode):
@@ -168,11 +168,15 @@ class CopleyNode(LockstepNode):
     def _warm_up(self) -> None:
         """Compile before the first message, so that no peer waits for the compiler."""
         state = amplifier.initial_state(self._model_parameters)
-        inputs = [
-            self.inboxes[topic].values.copy()
-            for topic in (CURRENT_COMMAND, PHASE_CURRENTS, ENCODERS_TOPIC)
-        ]
-        amplifier.step(state, self._model_parameters, self._axes, *inputs, self._voltage.copy())
+        amplifier.step(
+            state,
+            self._model_parameters,
+            self._axes,
+            self.inboxes[CURRENT_COMMAND].values,
+            self.inboxes[PHASE_CURRENTS].values,
+            self.inboxes[ENCODERS_TOPIC].values,
+            self._voltage.copy(),
+        )
         amplifier.open_bridges(state)
         amplifier.changed(state)
         amplifier.report(

@@ -6,6 +6,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from waferbot_lockstep.contract import (
     ALL_AXES,
     CURRENT_COMMAND,
@@ -142,7 +143,9 @@ def test_any_legal_traffic_keeps_order(actions):
             if sent:
                 assert inbox.push(*sent[-1]) is False
         elif action == 'all' or action not in given:
-            valid = ALL_AXES & ~sum(1 << axis for axis in given) if action == 'all' else 1 << action
+            valid = (
+                ALL_AXES & ~sum(1 << axis for axis in given) if action == 'all' else 1 << action
+            )
             given |= {axis for axis in range(3) if valid >> axis & 1}
             message = (inbox.due, TIMING.stamp_ns(inbox.due), valid, volts(inbox.due))
             inbox.push(*message)

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
+
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import Parameter, check_settings, check_value
 

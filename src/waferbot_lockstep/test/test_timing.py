@@ -4,6 +4,7 @@ from fractions import Fraction
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 

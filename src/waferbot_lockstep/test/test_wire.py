@@ -5,11 +5,12 @@ import array
 
 import numpy as np
 import pytest
-import waferbot_msgs.msg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+
+import waferbot_msgs.msg
 from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.standard_messages import clock_message, joint_state_message, stamp_of

@@ -49,7 +49,7 @@ def cache_folder() -> Path:
     return Path(base) / source_digest()
 
 
-numba.config.CACHE_DIR = str(cache_folder())
-numba.config.DISABLE_INTEL_SVML = True
+numba.config.CACHE_DIR = str(cache_folder())  # type: ignore[attr-defined]
+numba.config.DISABLE_INTEL_SVML = True  # type: ignore[attr-defined]
 
 compiled = numba.njit(cache=True, error_model='numpy')

@@ -135,7 +135,9 @@ class Inbox(_TopicInput):
         if tick < self.due:
             raise self._error(tick, f'is stale or out of order: tick {self.due} is due', relevant)
         raise self._error(
-            self.due, f'is missing: tick {tick} came instead', relevant & ~self._covered or relevant
+            self.due,
+            f'is missing: tick {tick} came instead',
+            relevant & ~self._covered or relevant,
         )
 
 
@@ -160,7 +162,9 @@ class NewestInput(_TopicInput):
     @property
     def complete(self) -> bool:
         """Whether every needed place has spoken at least once."""
-        return all(tick >= 0 for place, tick in enumerate(self._newest) if self.needed >> place & 1)
+        return all(
+            tick >= 0 for place, tick in enumerate(self._newest) if self.needed >> place & 1
+        )
 
     @property
     def missing(self) -> str:
@@ -175,9 +179,7 @@ class NewestInput(_TopicInput):
     @property
     def newest_tick(self) -> int:
         """The newest tick that every needed place has reached (-1: some have not spoken)."""
-        return min(
-            tick for place, tick in enumerate(self._newest) if self.needed >> place & 1
-        )
+        return min(tick for place, tick in enumerate(self._newest) if self.needed >> place & 1)
 
     def push(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
         """Take one message; return whether any needed place became newer by it."""

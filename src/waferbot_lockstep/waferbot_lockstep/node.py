@@ -22,7 +22,6 @@ from types import FrameType
 from typing import Any
 
 import rclpy
-import waferbot_msgs.msg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -39,6 +38,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
+import waferbot_msgs.msg
 from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
 from waferbot_lockstep.errors import LockstepError, UserError
 from waferbot_lockstep.inbox import Inbox, NewestInput
@@ -56,7 +56,9 @@ REALTIME = 'realtime'
 
 NODE_SETTINGS = (
     Parameter('current_loop_hz', 18000, 'Hz', 1, 1_000_000, 'rate of the tick', True, True),
-    Parameter('encoder_divider', 2, 'ticks', 1, 1000, 'ticks between encoder messages', True, True),
+    Parameter(
+        'encoder_divider', 2, 'ticks', 1, 1000, 'ticks between encoder messages', True, True
+    ),
     Parameter('servo_divider', 8, 'ticks', 1, 1000, 'ticks between servo cycles', True, True),
     Parameter(
         'end_tick', 0, 'ticks', 0, 2**53, 'the node ends before this tick; 0: never', True, True
@@ -122,7 +124,9 @@ class LockstepNode(Node):
         self._stop_publisher = self.create_publisher(
             waferbot_msgs.msg.Stop, STOP_TOPIC, lockstep_qos(8)
         )
-        self.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8))
+        self.create_subscription(
+            waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
+        )
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._begun_s = 0.0
         self._noticed_s = 0.0
@@ -311,7 +315,10 @@ class LockstepNode(Node):
     # ---- parameters ------------------------------------------------------------------------------
 
     def declare_settings(
-        self, prefix: str, parameters: Iterable[Parameter], defaults: Mapping[str, Value] | None = None
+        self,
+        prefix: str,
+        parameters: Iterable[Parameter],
+        defaults: Mapping[str, Value] | None = None,
     ) -> dict[str, Value]:
         """
         Declare each `Parameter` as the ROS parameter `<prefix>.<name>` and return the values.
@@ -467,7 +474,10 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
     # Discovery stays on this machine unless the user asks for more.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     interrupt = Interrupt()
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=None if arguments is None else list(arguments),
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
     node = None
     try:
         node = make_node()

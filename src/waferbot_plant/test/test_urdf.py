@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+
 from waferbot_plant import plant
 from waferbot_plant.urdf import urdf
 
@@ -45,7 +46,9 @@ def test_mujoco_finds_the_same_mass_matrix_in_it():
         state['position'][0] = position
         ours = np.zeros((3, 3))
         plant.mass_matrix(state, parameters, ours)
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-6 * ours.max(), err_msg=f'{seed=}')
+        np.testing.assert_allclose(
+            ours, theirs, rtol=0, atol=2e-6 * ours.max(), err_msg=f'{seed=}'
+        )
 
 
 def test_counterweight_mirrors_the_carriage():

@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import KeyValue
-from rosgraph_msgs.msg import Clock as ClockMessage
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
-from waferbot_msgs.msg import Recorded
+
 from waferbot_lockstep.contract import (
     ALL_AXES,
     ALL_ENCODERS,
@@ -42,7 +42,7 @@ from waferbot_lockstep.standard_messages import (
     clock_message,
     joint_state_message,
 )
-
+from waferbot_msgs.msg import Recorded
 from waferbot_plant import plant
 from waferbot_plant.urdf import urdf
 
@@ -180,7 +180,9 @@ class PlantNode(LockstepNode):
     def _publish_slow_topics(self, tick: int) -> None:
         stamp_ns = self.timing.stamp_ns(tick)
         self.publish(self._clock_publisher, clock_message(stamp_ns))
-        plant.joint_positions(self._model_state, self._model_parameters, self._position, self._velocity)
+        plant.joint_positions(
+            self._model_state, self._model_parameters, self._position, self._velocity
+        )
         self.publish(
             self._joint_publisher,
             joint_state_message(
@@ -225,7 +227,9 @@ class PlantNode(LockstepNode):
     def _warm_up(self, machine: Any) -> None:
         """Compile before the first message, so that no peer waits for the compiler."""
         state = machine.initial_state(self._model_parameters)
-        plant.measure(state, self._model_parameters, 0, self._counts.copy(), self._line_currents.copy())
+        plant.measure(
+            state, self._model_parameters, 0, self._counts.copy(), self._line_currents.copy()
+        )
         plant.advance(state, self._model_parameters, np.zeros(3 * len(AXES)))
         plant.joint_positions(state, self._model_parameters, self._position, self._velocity)
 

@@ -21,7 +21,11 @@ import numpy as np
 from waferbot_plant.description import Body, Description, Joint
 
 WORLD, BASE = 'base_link', 'base'
-LIMITS = {'y_linear': (-0.5, 0.5), 'x_rotate': (-math.pi, math.pi), 'y_rotate': (-math.pi, math.pi)}
+LIMITS = {
+    'y_linear': (-0.5, 0.5),
+    'x_rotate': (-math.pi, math.pi),
+    'y_rotate': (-math.pi, math.pi),
+}
 COLOURS = ('0.55 0.57 0.60 1', '0.30 0.45 0.65 1', '0.70 0.45 0.25 1', '0.35 0.55 0.40 1')
 
 
@@ -94,7 +98,14 @@ def _link(robot: ElementTree.Element, body: Body, at: np.ndarray, colour: str) -
     inertial = ElementTree.SubElement(link, 'inertial')
     ElementTree.SubElement(inertial, 'origin', xyz=_text(centre), rpy='0 0 0')
     ElementTree.SubElement(inertial, 'mass', value=f'{body.mass:g}')
-    names = {'ixx': (0, 0), 'iyy': (1, 1), 'izz': (2, 2), 'ixy': (0, 1), 'ixz': (0, 2), 'iyz': (1, 2)}
+    names = {
+        'ixx': (0, 0),
+        'iyy': (1, 1),
+        'izz': (2, 2),
+        'ixy': (0, 1),
+        'ixz': (0, 2),
+        'iyz': (1, 2),
+    }
     ElementTree.SubElement(
         inertial, 'inertia', {name: f'{tensor[cell]:.9g}' for name, cell in names.items()}
     )

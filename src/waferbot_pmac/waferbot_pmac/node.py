@@ -18,6 +18,7 @@ import numpy as np
 from rclpy.action import ActionServer, GoalResponse
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
+
 from waferbot_lockstep.contract import (
     ALL_AXES,
     ALL_ENCODERS,
@@ -31,7 +32,6 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.node import LockstepNode, run_node
 from waferbot_msgs.action import RunExperiment
-
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
@@ -201,14 +201,18 @@ class PmacNode(LockstepNode):
         for parameter in parameters:
             axis, _, name = parameter.name.partition('.')
             if axis in AXES:
-                change_parameter(self._model_parameters, axis, name, parameter.value, loop_closed=True)
+                change_parameter(
+                    self._model_parameters, axis, name, parameter.value, loop_closed=True
+                )
 
     def _warm_up(self) -> None:
         """Compile before the first message, so that no peer waits for the compiler."""
         state = servo.initial_state(self._model_parameters)
         counts = self.inboxes[ENCODERS_TOPIC].values.copy()
         servo.prime(state, self._model_parameters, counts, np.zeros(len(AXES)))
-        servo.step(state, self._model_parameters, counts, np.zeros(len(AXES)), self._current.copy())
+        servo.step(
+            state, self._model_parameters, counts, np.zeros(len(AXES)), self._current.copy()
+        )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -8,12 +8,12 @@ Launch the twin: plant, PMAC and Copley, each its own node, running until stoppe
     ros2 action send_goal /run_experiment waferbot_msgs/action/RunExperiment "{experiment: step}"
 """
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from launch import LaunchDescription
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.models import load_model
 

@@ -25,10 +25,10 @@ from typing import Any
 
 import yaml
 from ament_index_python.packages import get_package_share_directory
+
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-
 from waferbot_twin.recording.reader import Recording
 
 NODES = ('plant', 'pmac', 'copley')

@@ -14,7 +14,6 @@ from typing import Any
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import Experiment, load_experiment
-
 from waferbot_twin.models import Model, load_model
 from waferbot_twin.recording.writer import as_json
 

@@ -27,9 +27,8 @@ def scaled_unit(values: np.ndarray, unit: str) -> tuple[float, str]:
     largest = float(np.max(np.abs(values))) if len(values) else 0.0
     if unit == 'A' or largest == 0.0:
         return 1.0, unit
-    for factor, prefix in _PREFIXES:
-        if largest * factor >= 1.0:
-            break
+    fitting = [(factor, prefix) for factor, prefix in _PREFIXES if largest * factor >= 1.0]
+    factor, prefix = fitting[0] if fitting else _PREFIXES[-1]
     return factor, prefix + unit
 
 
@@ -96,5 +95,7 @@ def _draw_current(panel: Axes, response: AxisResponse) -> None:
 def _save(figure: Figure, file: Path) -> None:
     figure.tight_layout()
     file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=110, metadata={'Software': 'waferbot'} if file.suffix == '.png' else None)
+    figure.savefig(
+        file, dpi=110, metadata={'Software': 'waferbot'} if file.suffix == '.png' else None
+    )
     plt.close(figure)

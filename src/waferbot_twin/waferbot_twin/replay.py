@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+
 from waferbot_copley import amplifier
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import (
@@ -31,7 +32,6 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant import plant
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import load_experiment
-
 from waferbot_twin.engines.inprocess import Twin, open_terminals
 from waferbot_twin.metrics import rms
 from waferbot_twin.models import Model
@@ -155,14 +155,14 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
         outputs[CURRENT_COMMAND] = _first(recording[CURRENT_COMMAND], len(currents))
         outputs[CURRENT_COMMAND]['current'] = currents[: len(outputs[CURRENT_COMMAND])]
     else:
-        currents = recording[PHASE_CURRENTS]
-        voltages = np.zeros((len(currents), 9))
+        measured = recording[PHASE_CURRENTS]
+        voltages = np.zeros((len(measured), 9))
         _replay_amplifier(
             twin.amplifier_state,
             twin.amplifier_parameters,
-            np.ascontiguousarray(_held(recording[CURRENT_COMMAND], 'current', currents['tick'])),
-            np.ascontiguousarray(currents['current']),
-            np.ascontiguousarray(_held(recording[ENCODERS_TOPIC], 'counts', currents['tick'])),
+            np.ascontiguousarray(_held(recording[CURRENT_COMMAND], 'current', measured['tick'])),
+            np.ascontiguousarray(measured['current']),
+            np.ascontiguousarray(_held(recording[ENCODERS_TOPIC], 'counts', measured['tick'])),
             voltages,
         )
         outputs[PHASE_VOLTAGES] = _first(recording[PHASE_VOLTAGES], len(voltages))
@@ -227,5 +227,11 @@ def _replay_amplifier(state, parameters, command, line_current, counts, voltage_
     """Drive the amplifiers by commands (n, 3), line currents (n, 6), counts (n, 4)."""
     for tick in range(line_current.shape[0]):
         amplifier.step(
-            state, parameters, 7, command[tick], line_current[tick], counts[tick], voltage_out[tick]
+            state,
+            parameters,
+            7,
+            command[tick],
+            line_current[tick],
+            counts[tick],
+            voltage_out[tick],
         )

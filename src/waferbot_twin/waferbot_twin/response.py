@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import (
     AXES,
@@ -15,7 +16,6 @@ from waferbot_lockstep.contract import (
     SERVO_STATE,
 )
 from waferbot_pmac.i_variables import servo_parameters
-
 from waferbot_twin.metrics import StepMetrics, step_metrics
 from waferbot_twin.models import recorded_model
 from waferbot_twin.recording.reader import Recording

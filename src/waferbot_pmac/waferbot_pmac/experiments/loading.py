@@ -121,15 +121,18 @@ def _checked(text: str, source: str) -> Experiment:
 def _explained(error: jsonschema.ValidationError, document: MarkedYaml) -> str:
     """Return one line for the user from an error of the schema."""
     path = tuple(error.absolute_path)
+    value: Any = error.validator_value
+    instance: Any = error.instance
+    schema: Any = error.schema
     if error.validator == 'additionalProperties':
-        known = error.schema['properties']
-        key = next(key for key in error.instance if key not in known)
+        known = schema['properties']
+        key = next(key for key in instance if key not in known)
         return f'{document.where((*path, key))} is not known here{did_you_mean(str(key), known)}'
     if error.validator == 'required':
-        missing = next(key for key in error.validator_value if key not in error.instance)
+        missing = next(key for key in value if key not in instance)
         return f'{document.where(path)}: {missing} is missing'
     if error.validator == 'enum':
-        wanted = ', '.join(map(str, error.validator_value))
+        wanted = ', '.join(map(str, value))
         return f'{document.where(path)} is {error.instance!r}; it must be one of {wanted}'
     if not path and error.validator == 'type':
         return f'{document.where(())}: an experiment is a mapping with name, duration_s and motion'

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.table import Table
-from waferbot_lockstep.contract import CONTRACT_TOPICS
 
+from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.reader import Recording, read_recording
@@ -17,7 +17,9 @@ from waferbot_twin.recording.reader import Recording, read_recording
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot info`."""
-    parser.add_argument('recording', type=Path, metavar='DIR', help='recording folder or .mcap file')
+    parser.add_argument(
+        'recording', type=Path, metavar='DIR', help='recording folder or .mcap file'
+    )
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -38,7 +40,9 @@ def execute(options: argparse.Namespace) -> int:
     print(f'  {result["state"]}')
     table = Table(box=None, pad_edge=False)
     for heading in ('topic', 'type', 'messages', 'rate [Hz]'):
-        table.add_column(heading, justify='right' if heading in ('messages', 'rate [Hz]') else 'left')
+        table.add_column(
+            heading, justify='right' if heading in ('messages', 'rate [Hz]') else 'left'
+        )
     for topic in result['topics']:
         rate = f'{topic["rate_hz"]:.0f}' if topic['rate_hz'] else ''
         table.add_row(topic['name'], topic['type'], str(topic['messages']), rate)

@@ -7,7 +7,6 @@ import argparse
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-
 from waferbot_twin.recording.reader import read_recording
 
 FORMATS = ('.png', '.svg', '.pdf')
@@ -15,7 +14,9 @@ FORMATS = ('.png', '.svg', '.pdf')
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot plot`."""
-    parser.add_argument('recording', type=Path, metavar='DIR', help='recording folder or .mcap file')
+    parser.add_argument(
+        'recording', type=Path, metavar='DIR', help='recording folder or .mcap file'
+    )
     parser.add_argument(
         '--out', type=Path, metavar='FILE', help='picture to write (default: DIR/plot.png)'
     )

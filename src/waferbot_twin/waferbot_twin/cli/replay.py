@@ -11,9 +11,9 @@ import argparse
 from pathlib import Path
 
 from rich.table import Table
+
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.experiments import load_experiment
-
 from waferbot_twin.cli.console import print_json, progress_bar, result_console
 from waferbot_twin.models import NODES, Model, load_model, recorded_model
 from waferbot_twin.plan import Plan
@@ -22,7 +22,9 @@ from waferbot_twin.recording.reader import Recording, read_recording
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot replay`."""
-    parser.add_argument('recording', type=Path, metavar='DIR', help='recording folder or .mcap file')
+    parser.add_argument(
+        'recording', type=Path, metavar='DIR', help='recording folder or .mcap file'
+    )
     parser.add_argument('--node', choices=NODES, required=True, help='the node to replay')
     parser.add_argument(
         '--model', metavar='NAME|FILE', help='default: the model that the recording was made with'
@@ -61,8 +63,18 @@ def execute(options: argparse.Namespace) -> int:
         )
         return 0
     table = Table(box=None, pad_edge=False)
-    for heading in ('topic', 'of', 'unit', 'RMS recorded', 'RMS difference', 'largest', 'from tick'):
-        table.add_column(heading, justify='left' if heading in ('topic', 'of', 'unit') else 'right')
+    for heading in (
+        'topic',
+        'of',
+        'unit',
+        'RMS recorded',
+        'RMS difference',
+        'largest',
+        'from tick',
+    ):
+        table.add_column(
+            heading, justify='left' if heading in ('topic', 'of', 'unit') else 'right'
+        )
     for difference in differences:
         first = '' if difference.first_tick is None else str(difference.first_tick)
         table.add_row(

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
-
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.plan import Outcome, Plan, make_plan
 
@@ -32,8 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--engine', choices=ENGINES, default='ros', help='default: ros')
     parser.add_argument('--out', type=Path, metavar='DIR', help='record to this new folder')
     parser.add_argument('--force', action='store_true', help='replace the recording at --out')
-    parser.add_argument('--duration', type=float, metavar='S', help='default: the experiment\'s')
-    parser.add_argument('--seed', type=int, default=0, help='seed of whatever is random (default 0)')
+    parser.add_argument('--duration', type=float, metavar='S', help="default: the experiment's")
+    parser.add_argument(
+        '--seed', type=int, default=0, help='seed of whatever is random (default 0)'
+    )
     parser.add_argument(
         '--copley-per-axis', action='store_true', help='three Copley nodes, one for each axis'
     )

@@ -9,11 +9,13 @@ left out. Signals are therefore bit-identical to those of a run over ROS.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+
 import waferbot_msgs.msg
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
@@ -30,6 +32,7 @@ from waferbot_lockstep.contract import (
     PHASE_VOLTAGES,
     SERVO_STATE,
     SLOW_DIVIDER,
+    Topic,
 )
 from waferbot_lockstep.standard_messages import (
     CLOCK,
@@ -43,7 +46,6 @@ from waferbot_plant import plant
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
-
 from waferbot_twin.models import Model
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
@@ -62,8 +64,8 @@ class Signals:
     The signals of a stretch of ticks, one row per message of each topic, SI units or counts.
 
     With n ticks: counts int64 (n_encoder, 4), line_current (n, 6), current_command (n_servo, 3),
-    voltage (n, 9), open_bridges (n,), servo_state (n_servo, 15) in the order of the message's fields; amplifier_* have
-    one row per amplifier message; joint_* (n_slow, 3). All begin at tick `first`.
+    voltage (n, 9), open_bridges (n,), servo_state (n_servo, 15) in the order of the message's fields;
+    amplifier_* have one row per amplifier message; joint_* (n_slow, 3). All begin at tick `first`.
     """
 
     first: int
@@ -147,9 +149,7 @@ class Twin:
             model.of_axes('copley'), timing, str(model.path)
         )
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
-        self.commanded = commanded_positions(
-            experiment, self.servo_parameters, timing.servo_hz
-        )
+        self.commanded = commanded_positions(experiment, self.servo_parameters, timing.servo_hz)
         self.tick = 0
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)
@@ -218,7 +218,7 @@ def _compile(plan: Plan) -> None:
     Twin(plan.model, plan.timing, plan.experiment).advance(1)
 
 
-def _chunks(twin: Twin, ticks: int, progress: Progress):  # type: ignore[no-untyped-def]
+def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
     while twin.tick < ticks:
         yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
         progress(twin.tick, ticks)
@@ -245,7 +245,7 @@ class SignalRecorder:
         every = range(signals.first, signals.first + signals.ticks)
         amplifier_rows = int(signals.amplifier_messages[0])
         servo_values = np.split(signals.servo_state, 5, axis=1)
-        tables = (
+        tables: tuple[tuple[Topic, Sequence[int] | np.ndarray, Any, Sequence[np.ndarray]], ...] = (
             (ENCODERS_TOPIC, signals.encoder_ticks, ALL_ENCODERS, (signals.counts,)),
             (PHASE_CURRENTS, every, ALL_AXES, (signals.line_current,)),
             (CURRENT_COMMAND, signals.servo_ticks, ALL_AXES, (signals.current_command,)),
@@ -268,9 +268,7 @@ class SignalRecorder:
             records['tick'] = ticks
             stamps = [self._timing.stamp_ns(int(tick)) for tick in ticks]
             records['stamp_sec'], records['stamp_nanosec'] = (
-                np.divmod(np.array(stamps, np.int64), NANOSECONDS_PER_SECOND)
-                if stamps
-                else (0, 0)
+                np.divmod(np.array(stamps, np.int64), NANOSECONDS_PER_SECOND) if stamps else (0, 0)
             )
             records['valid'] = valid
             names = self._wire[topic].value_fields

@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 import rclpy
-import waferbot_msgs.msg
 from rclpy.signals import SignalHandlerOptions
+
+import waferbot_msgs.msg
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import Interrupt, LockstepNode, make_executor
 from waferbot_lockstep.wire import WireFormat
-
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.engines.ros import (
     END_TIMEOUT_S,
@@ -95,9 +95,7 @@ class Player(LockstepNode):
                 self._play()
 
     def _answered(self) -> bool:
-        return all(
-            inbox.complete for inbox in self.inboxes.values() if inbox.due == self._tick
-        )
+        return all(inbox.complete for inbox in self.inboxes.values() if inbox.due == self._tick)
 
     def _play(self) -> None:
         for topic, (rows, spacing) in self._inputs.items():
@@ -119,7 +117,9 @@ def replay_over_ros(
     )
     ticks = min(ticks, plan.ticks)
     others = tuple(name for name in NODES if name != node)
-    options = RosOptions(without=others, overrides={'plant': {'start_paused': False, 'recorder_window': 0}})
+    options = RosOptions(
+        without=others, overrides={'plant': {'start_paused': False, 'recorder_window': 0}}
+    )
     with contextlib.ExitStack() as stack:
         domain = Domain()
         stack.callback(domain.release)

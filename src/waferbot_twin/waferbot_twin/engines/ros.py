@@ -27,6 +27,7 @@ import yaml
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
+
 from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import (
@@ -35,7 +36,6 @@ from waferbot_lockstep.node import (
     LockstepNode,
     make_executor,
 )
-
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import close_complete
@@ -155,9 +155,7 @@ class _Conductor:
         future = self._release.call_async(SetBool.Request(data=False))
         self._spin_until(future.done, END_TIMEOUT_S, 'start')
 
-    def _spin_until(
-        self, done: Callable[[], bool], timeout_s: float | None, phase: str
-    ) -> None:
+    def _spin_until(self, done: Callable[[], bool], timeout_s: float | None, phase: str) -> None:
         deadline_s = time.monotonic() + timeout_s if timeout_s else None
         reported_s = 0.0
         grace_until_s: float | None = None
@@ -199,12 +197,14 @@ class Members:
     names: list[str]
 
     def begin(self, executor: Any) -> None:
+        """Start the nodes."""
         raise NotImplementedError
 
     def leave(self, executor: Any) -> None:
         """Take composed nodes out of the executor."""
 
     def alive(self) -> bool:
+        """Tell whether any node is still running."""
         raise NotImplementedError
 
     def failure(self) -> str:
@@ -212,9 +212,11 @@ class Members:
         raise NotImplementedError
 
     def state(self) -> str:
+        """Return where each node stands, for messages."""
         raise NotImplementedError
 
     def end(self) -> None:
+        """End whatever still runs, and clean up."""
         raise NotImplementedError
 
 
@@ -232,6 +234,7 @@ class SeparateProcesses(Members):
         self._on_processes = options.on_processes
 
     def begin(self, executor: Any) -> None:
+        """Start the nodes."""
         for name in self._order:
             node, parameters = self._commands[name]
             self._processes[name] = self._start(name, node, parameters)
@@ -251,23 +254,29 @@ class SeparateProcesses(Members):
         )
 
     def alive(self) -> bool:
+        """Tell whether any node is still running."""
         return any(process.poll() is None for process in self._processes.values())
 
     def failure(self) -> str:
+        """Return what went wrong with one of the nodes, or ''."""
         for name, process in self._processes.items():
             code = process.poll()
             if code:
-                how = f'was killed by signal {-code}' if code < 0 else f'ended with exit code {code}'
+                how = (
+                    f'was killed by signal {-code}' if code < 0 else f'ended with exit code {code}'
+                )
                 return f'{name} {how}'
         return ''
 
     def state(self) -> str:
+        """Return where each node stands, for messages."""
         return ', '.join(
             f'{name} {"runs" if process.poll() is None else "has ended"}'
             for name, process in self._processes.items()
         )
 
     def end(self) -> None:
+        """End whatever still runs, and clean up."""
         for process in self._processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
@@ -301,36 +310,40 @@ class ComposedNodes(Members):
             )
 
     def begin(self, executor: Any) -> None:
+        """Start the nodes."""
         for node in self._nodes.values():
             executor.add_node(node)
         for node in self._nodes.values():
             node.begin()
 
     def leave(self, executor: Any) -> None:
+        """Take composed nodes out of the executor."""
         for node in self._nodes.values():
             executor.remove_node(node)
 
     def alive(self) -> bool:
+        """Tell whether any node is still running."""
         return any(node.outcome is None for node in self._nodes.values())
 
     def failure(self) -> str:
+        """Return what went wrong with one of the nodes, or ''."""
         for name, node in self._nodes.items():
             if node.outcome:
                 return f'{name}: {node.outcome}'
         return ''
 
     def state(self) -> str:
+        """Return where each node stands, for messages."""
         return ', '.join(f'{name} at tick {node.tick}' for name, node in self._nodes.items())
 
     def end(self) -> None:
+        """End whatever still runs, and clean up."""
         for node in self._nodes.values():
             node.interrupt()
             node.destroy_node()
 
 
-def _layout(
-    plan: Plan, options: RosOptions
-) -> Iterator[tuple[str, tuple[str, dict[str, Any]]]]:
+def _layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, tuple[str, dict[str, Any]]]]:
     """Yield name, kind and parameters of each node that this run starts."""
     timing = {
         'current_loop_hz': plan.timing.current_loop_hz,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS
-
 from waferbot_twin.recording.reader import Recording
 
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS, SLOW_DIVIDER, Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
-
 from waferbot_twin.recording.writer import RecordingWriter
 
 
@@ -52,7 +51,9 @@ class Account:
     def missing(self, ticks: int) -> dict[str, int]:
         """Return, per topic, how many messages of the run's `ticks` ticks lack (places counted)."""
         return {
-            topic.name: sum(self.timing.messages(ticks, own.spacing) - given for given in own.given)
+            topic.name: sum(
+                self.timing.messages(ticks, own.spacing) - given for given in own.given
+            )
             for topic, own in self.topics.items()
         }
 

@@ -14,6 +14,7 @@ import re
 from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+
 from waferbot_lockstep.errors import UserError
 
 _SEPARATOR = '=' * 80
@@ -65,7 +66,7 @@ def _nested_types(text: str, package: str) -> list[str]:
     for line in text.splitlines():
         match = _FIELD.match(line.split('#')[0])
         name = match.group(1) if match else ''
-        if not name or name[0].islower() and '/' not in name:
+        if not name or (name[0].islower() and '/' not in name):
             continue  # empty line or built-in type
         parts = name.split('/')
         nested.append(f'{parts[0] if len(parts) > 1 else package}/msg/{parts[-1]}')

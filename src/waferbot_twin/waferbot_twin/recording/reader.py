@@ -16,17 +16,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import waferbot_msgs.msg
 import yaml
 import zstandard
 from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
+
+import waferbot_msgs.msg
 from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
-
 from waferbot_twin.recording.definitions import type_hash
 
 
@@ -93,7 +93,9 @@ def recording_file(path: Path) -> Path:
     if not files:
         raise UserError(f'{path} holds no recording (no metadata.yaml, no .mcap file)')
     if len(files) > 1:
-        raise UserError(f'{path} is split into {len(files)} files; merge it with `ros2 bag convert`')
+        raise UserError(
+            f'{path} is split into {len(files)} files; merge it with `ros2 bag convert`'
+        )
     if not files[0].exists():
         raise UserError(f'{files[0]} is named in {metadata} but does not exist')
     return files[0]
@@ -142,7 +144,7 @@ def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
     for name in ('encapsulation', 'stamp_sec', 'stamp_nanosec', 'frame_id_length', 'tick'):
         merged[name][row] = records[name]
     places = len(topic.places)
-    fields = [name for name in records.dtype.names if records.dtype[name].shape]
+    fields = [name for name in records.dtype.names or () if records.dtype[name].shape]
     for place in range(places):
         given = (records['valid'] >> place & 1).astype(bool)
         merged['valid'][row[given]] |= 1 << place

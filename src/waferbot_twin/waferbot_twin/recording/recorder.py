@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import waferbot_msgs.msg
 from rclpy.clock import Clock as WallClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+
+import waferbot_msgs.msg
 from waferbot_lockstep.contract import (
     CONTRACT_TOPICS,
     RECORDED_TOPIC,
@@ -29,7 +30,6 @@ from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, lockstep_qos
 from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES, stamp_of
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
-
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.writer import RecordingWriter
 
@@ -58,7 +58,9 @@ class Recorder(Node):
             waferbot_msgs.msg.Recorded, RECORDED_TOPIC, lockstep_qos()
         )
         self.create_timer(
-            SIGN_OF_LIFE_PERIOD_S, self._announce, clock=WallClock(clock_type=ClockType.STEADY_TIME)
+            SIGN_OF_LIFE_PERIOD_S,
+            self._announce,
+            clock=WallClock(clock_type=ClockType.STEADY_TIME),
         )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
         for topic in CONTRACT_TOPICS:
@@ -85,9 +87,7 @@ class Recorder(Node):
     ) -> None:
         if self._writer is not None:
             self._writer.add_topic(self.resolve_topic_name(name), type_name)
-        self.create_subscription(
-            message_type, name, callback, lockstep_qos(), raw=True
-        )
+        self.create_subscription(message_type, name, callback, lockstep_qos(), raw=True)
 
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(topic.name)

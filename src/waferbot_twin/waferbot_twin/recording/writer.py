@@ -3,8 +3,8 @@
 Writes a recording: a folder with `metadata.yaml` and one `.mcap`, as `ros2 bag` does.
 
 Messages go to the file in chunks of a quarter of a megabyte, which are flushed as they are made, so
-that a run that is killed loses only its last moments. What the run was made from (model, experiment, parameters, seed,
-versions) is attached at the beginning, before the first message.
+that a run that is killed loses only its last moments. What the run was made from (model, experiment,
+parameters, seed, versions) is attached at the beginning, before the first message.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import Any
 
 import yaml
 from mcap.writer import CompressionType, Writer
+
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.errors import UserError
-
 from waferbot_twin.recording.definitions import full_text, type_hash
 
 CHUNK_BYTES = 1 << 18
@@ -59,9 +59,7 @@ class RecordingWriter:
         self._counts: dict[str, int] = {}
         self._file_name = f'{path.name}_0.mcap'
         self._file = (path / self._file_name).open('xb')
-        self._writer = Writer(
-            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-        )
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start('ros2', 'waferbot')
         for name, text in attachments.items():
             media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
@@ -109,7 +107,8 @@ class RecordingWriter:
             return
         self._writer.add_metadata('waferbot', dict(summary))
         self._writer.add_metadata(
-            'rosbag2', {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)}
+            'rosbag2',
+            {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
         )
         self._writer.finish()
         self._file.close()
