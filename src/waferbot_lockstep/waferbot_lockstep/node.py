@@ -47,6 +47,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 
 SIGN_OF_LIFE_PERIOD_S = 0.1
+FAREWELL_S = 0.3
 DIAGNOSTICS_PERIOD_S = 1.0
 WAITING_NOTICE_PERIOD_S = 5.0
 INTERRUPTED = 'interrupted by the user'
@@ -112,7 +113,7 @@ class LockstepNode(Node):
         self.inboxes: dict[Topic, Any] = {}
         self._wire: dict[Topic, WireFormat] = {}
         self._publishers_of: dict[Topic, Any] = {}
-        self._last_messages: dict[Any, bytes] = {}  # by publisher
+        self._last_messages: dict[Any, Any] = {}  # by publisher
         for topic in gives:
             message_type = getattr(waferbot_msgs.msg, topic.message)
             self._wire[topic] = WireFormat(message_type)
@@ -176,10 +177,9 @@ class LockstepNode(Node):
         publisher.publish(message)
 
     def finish(self) -> None:
-        """End ordinarily, once everything given has been received."""
+        """End ordinarily."""
         if self.outcome is None:
             self.outcome = ''
-            self._deliver()
 
     def fail(self, reason: str) -> None:
         """Stop for `reason` and let the other nodes know it."""
@@ -193,8 +193,8 @@ class LockstepNode(Node):
         )
         stamp_ns = self.timing.stamp_ns(max(self.tick, 0))
         stop.header.stamp.sec, stop.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        self._last_messages = {self._stop_publisher: stop}
         self._stop_publisher.publish(stop)
-        self._stop_publisher.wait_for_all_acked(_seconds(0.5))
 
     def interrupt(self) -> None:
         """Stop because the user said so."""
@@ -202,9 +202,18 @@ class LockstepNode(Node):
             self.fail(INTERRUPTED)
             self.outcome = ''
 
-    def _deliver(self) -> None:
-        for publisher in self._last_messages:
-            publisher.wait_for_all_acked(_seconds(2.0))
+    def take_leave(self) -> None:
+        """
+        Stay a moment after the end, repeating the last messages, so that nobody misses them.
+
+        Waiting for acknowledgements would do too, but Fast DDS asks for them only every 3 s, unless
+        new messages make it ask.
+        """
+        end_s = time.monotonic() + FAREWELL_S
+        while time.monotonic() < end_s:
+            for publisher, message in self._last_messages.items():
+                publisher.publish(message)
+            time.sleep(SIGN_OF_LIFE_PERIOD_S / 2)
 
     def need(self, topic: Topic, mask: int) -> None:
         """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
@@ -395,12 +404,6 @@ def _descriptor(parameter: Parameter) -> ParameterDescriptor:
     return descriptor
 
 
-def _seconds(seconds: float) -> Any:
-    from rclpy.duration import Duration
-
-    return Duration(nanoseconds=int(seconds * 1e9))
-
-
 def make_executor() -> Any:
     """Return the events executor where rclpy has it (Jazzy), else the single-threaded one."""
     try:
@@ -482,6 +485,7 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
     try:
         node = make_node()
         spin_until_done([node], interrupt)
+        node.take_leave()
         return 1 if node.outcome else 0
     except (UserError, LockstepError) as error:
         rclpy.logging.get_logger('waferbot').error(str(error))

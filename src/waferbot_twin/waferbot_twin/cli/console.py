@@ -23,7 +23,15 @@ QUIET_S = 2.0
 """Nothing shorter than this gets a progress bar."""
 
 error_console = Console(stderr=True, highlight=False)
-result_console = Console(highlight=False)
+
+
+def _result_console() -> Console:
+    """Return a console that keeps tables whole when the output goes to a file."""
+    console = Console(highlight=False)
+    return console if console.is_terminal else Console(highlight=False, width=120)
+
+
+result_console = _result_console()
 
 
 def print_json(result: Any) -> None:

@@ -9,7 +9,7 @@ replayed alone against the recording.
 from __future__ import annotations
 
 import argparse
-import shutil
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -94,22 +94,24 @@ def _print(result: dict[str, Any]) -> None:
     for node, identical in result['replay_identical'].items():
         print(f'    replay: {node} alone {"gives the same again" if identical else "DIFFERS"}')
     table = Table(box=None, pad_edge=False)
-    for heading in ('axis', 'step', 'delay [ms]', 'rise [ms]', 'peak', 'overshoot [%]',
-                    'peak time [ms]', 'settling [ms]'):  # fmt: skip
-        table.add_column(heading, justify='left' if heading == 'axis' else 'right')
+    table.add_column('axis')
+    columns = {
+        'step': ('step', 1.0, '.4g'),
+        'delay [ms]': ('delay_time', 1e3, '.2f'),
+        'rise [ms]': ('rise_time', 1e3, '.2f'),
+        'peak': ('peak', 1.0, '.4g'),
+        'overshoot [%]': ('overshoot_percent', 1.0, '.1f'),
+        'peak time [ms]': ('peak_time', 1e3, '.2f'),
+        'settling [ms]': ('settling_time', 1e3, '.1f'),
+    }
+    for heading in columns:
+        table.add_column(heading, justify='right', no_wrap=True)
     for axis, figures in result['metrics'].items():
-        table.add_row(
-            axis,
-            f'{figures["step"]:.4g}',
-            f'{1e3 * figures["delay_time"]:.2f}',
-            f'{1e3 * figures["rise_time"]:.2f}',
-            f'{figures["peak"]:.4g}',
-            f'{figures["overshoot_percent"]:.1f}',
-            f'{1e3 * figures["peak_time"]:.2f}',
-            f'{1e3 * figures["settling_time"]:.1f}',
+        cells = (
+            format(factor * figures[name], form) if math.isfinite(figures[name]) else '-'
+            for name, factor, form in columns.values()
         )
+        table.add_row(axis, *cells)
     result_console.print(table)
-    width = shutil.get_terminal_size().columns
-    print('-' * min(width, 72))
     print(f'picture: {result["picture"]}')
     print(f'more:    ./waferbot info {result["ros"]["out"]}')

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+YAML that remembers where every key stands, so that an error can name file, line and key.
+
+Every file that a user writes is read through here: machine descriptions, models, experiments,
+settings. It is YAML's safe subset, with four differences:
+
+- `1e-3` is a number, as in YAML 1.2 (YAML 1.1 takes it for text);
+- a key given twice is an error, not a silent replacement;
+- aliases (`*name`) are refused: they can expand without bound, and would blur whose line it was;
+- a key is a plain word or number, and nesting has a bound.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from waferbot_lockstep.errors import UserError
+
+Key = tuple[Any, ...]
+"""Path of a value in a document: keys and list places from the root."""
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader with the differences that the module tells."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.MarkedYAMLError(
+                problem='aliases (*name) are not used here', problem_mark=mark
+            )
+        return super().compose_node(parent, index)
+
+
+_Loader.add_implicit_resolver(
+    'tag:yaml.org,2002:float',
+    re.compile(r'^[-+]?(\d[\d_]*(\.[\d_]*)?|\.\d[\d_]*)[eE][-+]?\d+$'),
+    list('-+.0123456789'),
+)
+
+
+@dataclass
+class Document:
+    """
+    What was read: plain `data`, and for every key (file, line from 1) where it stands.
+
+    `places` always has the root `()`. Several files may have gone into one document; see `merge`.
+    """
+
+    data: Any
+    places: dict[Key, tuple[str, int]] = field(default_factory=dict)
+
+    def place(self, key: Key = ()) -> str:
+        """Return `file, line n` of a key, or of the nearest thing around it."""
+        for length in range(len(key), -1, -1):
+            if key[:length] in self.places:
+                source, line = self.places[key[:length]]
+                return f'{source}, line {line}'
+        return 'text'
+
+    def where(self, key: Key) -> str:
+        """Return `file, line n: a.b[2].c` for a key."""
+        return f'{self.place(key)}: {key_text(key)}' if key else self.place()
+
+    def error(self, key: Key, message: str) -> UserError:
+        """Return the error for the user: where it is, then what is wrong."""
+        return UserError(f'{self.where(key)}: {message}')
+
+
+def key_text(key: Key) -> str:
+    """Return a key as text: `motion.y_linear.kind`, `program[2].dwell_s`."""
+    text = ''
+    for part in key:
+        text += f'[{part}]' if isinstance(part, int) else f'.{part}' if text else str(part)
+    return text
+
+
+def read(path: Path) -> Document:
+    """Read one file whose root is a mapping (or nothing); raises `UserError`."""
+    try:
+        text = path.read_text(encoding='utf-8')
+    except OSError as error:
+        raise UserError(f'{path}: cannot be read ({error.strerror})') from None
+    except UnicodeDecodeError as error:
+        raise UserError(f'{path}: is not UTF-8 text ({error.reason})') from None
+    document = parse(text, str(path))
+    if document.data is None:
+        document.data = {}
+    if not isinstance(document.data, dict):
+        raise UserError(f'{path}, line 1: must be a mapping of keys to values')
+    return document
+
+
+def parse(text: str, source: str) -> Document:
+    """
+    Read one document from `text`; `source` stands for the file in messages.
+
+    Raises `UserError` with source and line for text that is no YAML, a key given twice, an alias,
+    or a tag that plain data does not have. Empty text is the document None.
+    """
+    places: dict[Key, tuple[str, int]] = {(): (source, 1)}
+    try:
+        loader = _Loader(text)
+        node = loader.get_single_node()
+        if node is None:
+            return Document(None, places)
+        _mark(loader, node, (), source, places)
+        return Document(loader.construct_document(node), places)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = f', line {mark.line + 1}, column {mark.column + 1}' if mark else ''
+        problem = error.problem or error.context
+        raise UserError(f'{source}{place}: not valid YAML: {problem}') from None
+    except RecursionError:
+        raise UserError(f'{source}: nested too deeply') from None
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2000-99-99
+        raise UserError(f'{source}: not valid YAML: {" ".join(str(error).split())}') from None
+
+
+def _mark(
+    loader: _Loader,
+    node: yaml.Node,
+    key: Key,
+    source: str,
+    places: dict[Key, tuple[str, int]],
+) -> None:
+    """Note the line of every key and list item below `node`; refuse a key given twice."""
+    if isinstance(node, yaml.MappingNode):
+        for key_node, value_node in node.value:
+            line = key_node.start_mark.line + 1
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise UserError(f'{source}, line {line}: a key must be a plain word')
+            inner = (*key, loader.construct_object(key_node))
+            if inner in places:
+                raise UserError(
+                    f'{source}, line {line}: {key_text(inner)} is given twice, '
+                    f'first on line {places[inner][1]}'
+                )
+            places[inner] = source, line
+            _mark(loader, value_node, inner, source, places)
+    elif isinstance(node, yaml.SequenceNode):
+        for place, item in enumerate(node.value):
+            places[(*key, place)] = source, item.start_mark.line + 1
+            _mark(loader, item, (*key, place), source, places)
+
+
+def merge(base: Document, overlay: Document) -> None:
+    """
+    Lay `overlay` over `base`: mappings are merged key by key, anything else is replaced.
+
+    A value of `null` in the overlay removes the key. Places of replaced values are the overlay's.
+    The root of both is a mapping.
+    """
+    _merge(base.data, overlay.data, (), base, overlay)
+
+
+def _merge(
+    into: dict[Any, Any], above: dict[Any, Any], key: Key, base: Document, overlay: Document
+) -> None:
+    for part, value in above.items():
+        inner = (*key, part)
+        if isinstance(value, dict) and isinstance(into.get(part), dict):
+            _merge(into[part], value, inner, base, overlay)
+            continue
+        if value is None:
+            into.pop(part, None)
+        else:
+            into[part] = value
+        for place, where in overlay.places.items():
+            if place[: len(inner)] == inner:
+                base.places[place] = where
