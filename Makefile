@@ -18,7 +18,7 @@ help:
 	@echo 'make demo       set up, run the twin over ROS 2, record it, print and plot the result'
 	@echo 'make test       linters, type checker and all tests (what CI runs)'
 	@echo 'make test-fast  linters and the tests that need no ROS processes (under 2 minutes)'
-	@echo 'make bench      measure speed: each engine beside the raw exchange of messages'
+	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
 	@echo 'make clean      remove everything that the above made'
 
@@ -53,6 +53,7 @@ test-fast: lint
 
 bench: build
 	$(RUN) python tests/bench/bench_engines.py
+	$(RUN) python tests/bench/bench_plant.py
 
 clean:
 	rm -rf .venv build install log runs bench-results .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -203,7 +203,7 @@ def main() -> None:
             f'{row["exchange_ratio"]:.2f}' if 'exchange_ratio' in row else '',
             f'{row["delivery_ratio"]:.2f}' if 'delivery_ratio' in row else '',
         )
-    Console().print(table)
+    Console(markup=False, width=110).print(table)
     folder = Path('bench-results')
     folder.mkdir(exist_ok=True)
     (folder / 'engines.json').write_text(json.dumps(results, indent=2) + '\n', 'utf-8')

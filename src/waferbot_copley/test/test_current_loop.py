@@ -264,3 +264,48 @@ def test_integrator_stays_within_the_voltage_limit(drive_stand, proportional, in
         line_1, line_2 = stand.field('integrator') * scale
         held = math.sqrt(4 / 3 * (line_1**2 + line_1 * line_2 + line_2**2))
         assert held <= BUS / math.sqrt(3) + ki * 90.0
+
+
+@pytest.mark.parametrize('mode', [0, 1])
+@pytest.mark.parametrize('update_delay', [0, 1])
+def test_loop_that_knows_the_resistance_takes_over_a_current_without_a_bump(
+    drive_stand, mode, update_delay
+):
+    """The motor already carries what is commanded; from the first tick it stays as it is."""
+    stands = {
+        known: drive_stand(
+            resistance=RESISTANCE,
+            inductance=INDUCTANCE,
+            mode=mode,
+            update_delay=update_delay,
+            motor_resistance=2 * RESISTANCE if known else 0.0,
+            **designed_gains(),
+        )
+        for known in (True, False)
+    }
+    angle, current = 0.7, 8.0
+    lines = current * (stands[True].phasing(angle))
+    bumps = {}
+    for known, stand in stands.items():
+        stand.lines = lines
+        errors = []
+        for _ in range(200):
+            stand.tick(current, angle)
+            errors.append(np.abs(stand.lines - lines).max())
+        bumps[known] = max(errors)
+    assert bumps[True] < 1e-9 * current
+    assert bumps[False] > 0.1
+
+
+def test_bridge_switched_on_again_starts_afresh(drive_stand):
+    """After safe torque off the terminals were open: no current, so no voltage to begin with."""
+    stand = drive_stand(motor_resistance=2 * RESISTANCE, **designed_gains())
+    stand.lines = 5.0 * stand.phasing(0.0)
+    stand.amplifier_only(5.0)
+    assert np.abs(stand.field('integrator')).max() > 0.0
+    stand.set('safe_torque_off', 1)
+    assert not stand.amplifier_only(0.0).any()
+    stand.lines = np.zeros(3)
+    stand.set('safe_torque_off', 0)
+    stand.state['faults'] = 0
+    assert not stand.amplifier_only(0.0).any()

@@ -71,6 +71,7 @@ AMPLIFIER_STATE = np.dtype(
         ('hall_state', 'u1', (3,)),  # bit k - 1: Hall sensor of line k; 0: none fitted
         ('motor_temperature', 'f8', (3,)),  # degC
         # current loop
+        ('starting', 'u1', (3,)),  # 1: the bridge goes on with the next tick
         ('integrator', 'f8', (3, 2)),  # of lines 1 and 2, or of d and q; V per 32 / Ipeak
         ('filter_memory', 'f8', (3, 2, 2, 2)),  # axis, line (or command), filter, delay
         ('pending_voltage', 'f8', (3, 3)),  # V, waits one tick with update_delay 1
@@ -92,6 +93,7 @@ AMPLIFIER_STATE = np.dtype(
 def initial_state(parameters: np.ndarray) -> np.ndarray:
     """Return the state (`AMPLIFIER_STATE`, shape (1,)) of cold amplifiers, enabled and at rest."""
     state = np.zeros(1, AMPLIFIER_STATE)
+    state['starting'] = 1
     state['motor_temperature'] = parameters['ambient_temperature']
     state['heat_sink_temperature'] = parameters['ambient_temperature']
     return state
@@ -170,6 +172,9 @@ def _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
         error_1, error_2 = -current_d, wanted - current_q
     else:
         error_1, error_2 = wanted_1 - current_1, wanted_2 - current_2
+    if s['starting'][axis]:
+        s['starting'][axis] = 0
+        _start(s, p, axis, current_1, current_2, sine, cosine)
     output_1 = p['proportional'][axis] * error_1 + s['integrator'][axis, 0]
     output_2 = p['proportional'][axis] * error_2 + s['integrator'][axis, 1]
 
@@ -259,8 +264,30 @@ def _watch(s, p, axis, current_1, current_2, sine, cosine):
 
 
 @compiled
+def _start(s, p, axis, current_1, current_2, sine, cosine):
+    """
+    Begin with the voltage that keeps up the present current: R i in the integrators, no bump.
+
+    A motor without current (or a drive that was not told its resistance) starts from zero volts.
+    """
+    to_integrator = p['motor_line_resistance'][axis] / (
+        p['bus_compensation'][axis] * p['bus_gain'][axis]
+    )
+    voltage_1 = p['motor_line_resistance'][axis] * current_1
+    voltage_2 = p['motor_line_resistance'][axis] * current_2
+    if p['mode'][axis] == FIELD_ORIENTED:
+        current_1, current_2 = to_rotor_frame(current_1, current_2, sine, cosine)
+    s['integrator'][axis, 0] = to_integrator * current_1
+    s['integrator'][axis, 1] = to_integrator * current_2
+    s['pending_voltage'][axis, 0] = voltage_1
+    s['pending_voltage'][axis, 1] = voltage_2
+    s['pending_voltage'][axis, 2] = -(voltage_1 + voltage_2)
+
+
+@compiled
 def _switch_off(s, axis, voltage):
     """Put out nothing and forget the past, so that the loop starts afresh when switched on."""
+    s['starting'][axis] = 1
     s['integrator'][axis, :] = 0.0
     s['filter_memory'][axis, :, :, :] = 0.0
     s['pending_voltage'][axis, :] = 0.0

@@ -42,7 +42,7 @@ class CopleyNode(LockstepNode):
         """Declare the settings of the driven axes and compile the current loop."""
         self._settings: dict[str, dict[str, Any]] = {}
         super().__init__('copley', {}, (PHASE_VOLTAGES, AMPLIFIER_STATE), **node_options)
-        names = self.declare_parameter('axes', list(AXES)).value
+        names = self.declare_fixed('axes', list(AXES), 'the axes that this node drives')
         self._axes = _mask(names)
         self.need(PHASE_CURRENTS, self._axes)
         self.need(CURRENT_COMMAND, self._axes)

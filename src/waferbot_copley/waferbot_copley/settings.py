@@ -79,6 +79,9 @@ SETTINGS = (
               'Worth of one step of Cp: 32 times this, over the peak current, in V/A'),
     Parameter('integral_scale', 0.25, '', 1e-6, 1e3,
               'Worth of one step of Ci per tick, in steps of Cp'),
+    Parameter('motor_resistance', 0.0, 'ohm', 0.0, 1000.0,
+              'Resistance of the motor from lead to lead, from its data; with it the loop starts at '
+              'the voltage that keeps up the present current (0: starts from zero volts)'),
     Parameter('mode', 0, '', 0, 1,
               'Loop: 0 on the line currents (thesis), 1 field-oriented', integer=True, fixed=True),
     Parameter('voltage_limit', 0, '', 0, 2,
@@ -151,6 +154,7 @@ AMPLIFIER_PARAMETERS = np.dtype(
         ('tracking', 'f8', (3,)),  # Ki / Kp of the back-calculation, at most 1
         ('bus_compensation', 'f8', (3,)),  # 32 / Vbus
         ('bus_gain', 'f8', (3,)),  # Vbus / Ipeak
+        ('motor_line_resistance', 'f8', (3,)),  # ohm: half of that from lead to lead
         ('bus_voltage', 'f8', (3,)),
         ('voltage_limit', 'i8', (3,)),
         ('over_current', 'f8', (3,)),  # A
@@ -223,6 +227,7 @@ def _parameters_of_axis(
     integral = values['gain_scale'] * values['integral_scale'] * values['integral_gain']
     result['proportional'], result['integral'] = proportional, integral
     result['tracking'] = 1.0 if integral >= proportional else integral / proportional
+    result['motor_line_resistance'] = values['motor_resistance'] / 2.0
     result['bus_compensation'], result['bus_gain'] = DUTY_SCALE / bus, bus / peak
 
     if abs(values['counts_per_electrical_cycle']) < 1.0:

@@ -172,3 +172,25 @@ def test_newest_refuses_values_that_are_no_numbers():
     newest = NewestInput(PHASE_VOLTAGES, TIMING, ALL_AXES)
     with pytest.raises(LockstepError, match='no finite number'):
         push(newest, 0, values=(*(math.nan,) * 9, 0))
+
+
+def test_only_what_a_message_speaks_for_must_be_finite():
+    inbox = inbox_at(0)
+    assert push(inbox, 0, 0b001, (*volts(0)[:3], *[math.nan] * 6, 0))
+    with pytest.raises(LockstepError, match='finite'):
+        push(inbox, 0, 0b010, (*volts(0)[:3], *[math.nan] * 6, 0))
+
+
+def test_large_finite_values_are_no_infinity():
+    inbox = inbox_at(0)
+    assert push(inbox, 0, values=(*[1.7e308] * 9, 0))
+
+
+def test_real_time_refuses_the_future_and_tells_how_far_it_is_behind():
+    inbox = NewestInput(PHASE_VOLTAGES, TIMING, ALL_AXES)
+    inbox.newest_possible = 10
+    push(inbox, 10)
+    with pytest.raises(LockstepError, match=r'tick 11 .*future'):
+        push(inbox, 11)
+    inbox.now = inbox.newest_possible = 25
+    assert inbox.behind == 15

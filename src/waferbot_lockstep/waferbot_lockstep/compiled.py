@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
+import shutil
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -36,8 +38,13 @@ def source_digest() -> str:
         spec = find_spec(package)
         for folder in spec.submodule_search_locations or [] if spec else []:
             for path in sorted(Path(folder).rglob('*.py')):
+                text = path.read_bytes()
+                if b'import rclpy' in text or (
+                    package == 'waferbot_twin' and b'@compiled' not in text
+                ):
+                    continue  # no model code: nothing compiled depends on it
                 digest.update(path.name.encode())
-                digest.update(path.read_bytes())
+                digest.update(text)
     return digest.hexdigest()[:16]
 
 
@@ -49,6 +56,24 @@ def cache_folder() -> Path:
     return Path(base) / source_digest()
 
 
+def compiled_before() -> bool:
+    """Tell whether anything of these sources has been compiled and kept on disk."""
+    return any(cache_folder().rglob('*.nbc'))
+
+
+def drop_old_caches(folder: Path, kept: int = 8) -> None:
+    """Remove the compiled code of all but the newest few versions of the sources."""
+    if folder.exists() or not folder.parent.exists():
+        return
+    versions = sorted(
+        (path for path in folder.parent.iterdir() if re.fullmatch('[0-9a-f]{16}', path.name)),
+        key=lambda path: path.stat().st_mtime,
+    )
+    for path in versions[: max(0, len(versions) - kept + 1)]:
+        shutil.rmtree(path, ignore_errors=True)
+
+
+drop_old_caches(cache_folder())
 numba.config.CACHE_DIR = str(cache_folder())  # type: ignore[attr-defined]
 numba.config.DISABLE_INTEL_SVML = True  # type: ignore[attr-defined]
 

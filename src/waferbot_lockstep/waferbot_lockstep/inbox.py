@@ -46,8 +46,17 @@ class _TopicInput:
                 f'has the stamp {stamp_ns} ns, which is not that of its tick '
                 f'({self.timing.stamp_ns(tick)} ns)',
             )
-        if not math.isfinite(sum(values)):
+        if not math.isfinite(sum(values)) and not self._finite(valid, values):
             raise self._error(tick, f'holds a value that is no finite number: {tuple(values)}')
+
+    def _finite(self, valid: int, values: Sequence[float]) -> bool:
+        """Tell whether all values of the places in `valid` are finite numbers, one by one."""
+        width = self.topic.width
+        return all(
+            math.isfinite(value)
+            for index, value in enumerate(values[: self.values.size])
+            if valid >> index // width & 1
+        )
 
     def _keep(self, relevant: int, values: Sequence[float]) -> None:
         """Put the values and mask bits of the places in `relevant` where they belong."""
@@ -147,13 +156,16 @@ class NewestInput(_TopicInput):
 
     Nothing waits, so lateness is counted instead: `late` messages are older than `now`, the tick at
     which their receiver already is; `missed` ticks of a place were passed over without a message.
-    A message older than the newest of its place changes nothing.
+    A message older than the newest of its place changes nothing. `newest_possible` is the last tick
+    that anybody can speak for (None: the receiver does not know); one beyond it would shut out all
+    that follow, so it raises `LockstepError`.
     """
 
     def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
         """Start with all values zero and nothing received."""
         super().__init__(topic, timing, needed)
         self.now = 0
+        self.newest_possible: int | None = None
         self.received = 0
         self.late = 0
         self.missed = 0
@@ -177,6 +189,11 @@ class NewestInput(_TopicInput):
         return ', '.join(self.topic.places[place] for place in silent)
 
     @property
+    def behind(self) -> int:
+        """How many ticks the oldest of the values in use lags behind `now`."""
+        return max(0, self.now - self.newest_tick)
+
+    @property
     def newest_tick(self) -> int:
         """The newest tick that every needed place has reached (-1: some have not spoken)."""
         return min(tick for place, tick in enumerate(self._newest) if self.needed >> place & 1)
@@ -184,6 +201,10 @@ class NewestInput(_TopicInput):
     def push(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
         """Take one message; return whether any needed place became newer by it."""
         self._check(tick, stamp_ns, valid, values)
+        if self.newest_possible is not None and tick > self.newest_possible:
+            raise self._error(
+                tick, f'is from the future: time stands at tick {self.newest_possible}'
+            )
         relevant = valid & self.needed
         new = 0
         for place, newest in enumerate(self._newest):

@@ -32,8 +32,9 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             mark = self.peek_event().start_mark
-            raise yaml.MarkedYAMLError(
-                problem='aliases (*name) are not used here', problem_mark=mark
+            raise UserError(
+                f'{mark.name}, line {mark.line + 1}: aliases (*name) are not used here; '
+                'write the value out'
             )
         return super().compose_node(parent, index)
 
@@ -107,6 +108,7 @@ def parse(text: str, source: str) -> Document:
     places: dict[Key, tuple[str, int]] = {(): (source, 1)}
     try:
         loader = _Loader(text)
+        loader.name = source
         node = loader.get_single_node()
         if node is None:
             return Document(None, places)
@@ -154,8 +156,11 @@ def merge(base: Document, overlay: Document) -> None:
     """
     Lay `overlay` over `base`: mappings are merged key by key, anything else is replaced.
 
-    A value of `null` in the overlay removes the key. Places of replaced values are the overlay's.
-    The root of both is a mapping.
+    A mapping with the key `from` is one value with its provenance, and is replaced whole: where it
+    came from does not hold for another value.
+
+    A value of `null` in the overlay takes the key away; it must be there, else `UserError`. Places
+    of replaced values are the overlay's. The root of both is a mapping.
     """
     _merge(base.data, overlay.data, (), base, overlay)
 
@@ -165,11 +170,14 @@ def _merge(
 ) -> None:
     for part, value in above.items():
         inner = (*key, part)
-        if isinstance(value, dict) and isinstance(into.get(part), dict):
+        below = into.get(part)
+        if isinstance(value, dict) and isinstance(below, dict) and 'from' not in below:
             _merge(into[part], value, inner, base, overlay)
             continue
         if value is None:
-            into.pop(part, None)
+            if part not in into:
+                raise overlay.error(inner, 'there is nothing of this name to take away')
+            del into[part]
         else:
             into[part] = value
         for place, where in overlay.places.items():

@@ -15,10 +15,8 @@ to do when an input has come. Everything else is here:
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from types import FrameType
 from typing import Any
 
 import rclpy
@@ -42,6 +40,7 @@ import waferbot_msgs.msg
 from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
 from waferbot_lockstep.errors import LockstepError, UserError
 from waferbot_lockstep.inbox import Inbox, NewestInput
+from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.parameters import Parameter, Value, check_value
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
@@ -306,7 +305,7 @@ class LockstepNode(Node):
         for topic, inbox in self.inboxes.items():
             if not isinstance(inbox, NewestInput):
                 continue
-            for key in ('received', 'late', 'missed'):
+            for key in ('received', 'late', 'missed', 'behind'):
                 value = str(getattr(inbox, key))
                 status.values.append(KeyValue(key=f'{topic.name} {key}', value=value))
             if inbox.late or inbox.missed:
@@ -357,6 +356,11 @@ class LockstepNode(Node):
         if value not in choices:
             raise UserError(f'{name} is {value!r}; it must be one of {", ".join(choices)}')
         return value
+
+    def declare_fixed(self, name: str, default: Any, description: str) -> Any:
+        """Declare a parameter that counts at the start of the node only; return its value."""
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        return self._declare(name, default, descriptor)
 
     def _declare(self, name: str, default: Any, descriptor: ParameterDescriptor) -> Any:
         try:
@@ -413,19 +417,6 @@ def make_executor() -> Any:
 
         return SingleThreadedExecutor()
     return EventsExecutor()
-
-
-class Interrupt:
-    """SIGINT and SIGTERM as a flag, so that a node always ends between two messages."""
-
-    def __init__(self) -> None:
-        """Catch the signals from now on."""
-        self.raised = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, number: int, frame: FrameType | None) -> None:
-        self.raised = True
 
 
 def spin_until_done(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,8 @@ def write(description: dict[str, Any]) -> Path:
     """Write a description to a file of its own and return its path."""
     folder = Path(tempfile.mkdtemp(prefix='waferbot_test_'))
     path = folder / 'machine.yaml'
-    path.write_text(yaml.safe_dump(description, sort_keys=False), encoding='utf-8')
+    unshared = json.loads(json.dumps(description))  # else YAML would write aliases
+    path.write_text(yaml.safe_dump(unshared, sort_keys=False), encoding='utf-8')
     return path
 
 

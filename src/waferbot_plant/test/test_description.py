@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant import marked_yaml
 from waferbot_plant.description import load_description
 from waferbot_plant.plant import config_folder, load_machine
 
@@ -46,7 +45,7 @@ def broken(change) -> UserError:
         load_description(path)
     assert str(path) in str(caught.value)
     lines = path.read_text().splitlines()
-    number = int(str(caught.value).split(str(path) + ':')[1].split(':')[0])
+    number = int(str(caught.value).split(f'{path}, line ')[1].split(':')[0])
     assert 1 <= number <= len(lines)
     return caught.value
 
@@ -140,7 +139,7 @@ def _drop(*keys):
         ),
         (
             _set('transmissions', 'rope', 'stages', [{'kind': 'gear', 'ratio': 3}]),
-            ['transmissions.rope.stages.0', 'a gear is driven by an angle'],
+            ['transmissions.rope.stages[0]', 'a gear is driven by an angle'],
         ),
         (
             _set('connections', 'rope', 'state', 'soft'),
@@ -204,17 +203,17 @@ def test_error_gives_the_right_line() -> None:
     lines[row] = lines[row].replace('2.0', '-2.0')
     path = machines.write(machines.two_slides())
     path.write_text('\n'.join(lines))
-    with pytest.raises(UserError, match=f':{row + 1}: bodies.first.mass_kg'):
+    with pytest.raises(UserError, match=f', line {row + 1}: bodies.first.mass_kg'):
         load_description(path)
 
 
 def test_yaml_that_is_no_yaml(tmp_path: Path) -> None:
     path = tmp_path / 'm.yaml'
     path.write_text('name: x\nbodies: [1, 2\njoints: 3\n')
-    with pytest.raises(UserError, match=r'm\.yaml:\d+: not valid YAML'):
+    with pytest.raises(UserError, match=r'm\.yaml, line \d+, column \d+: not valid YAML'):
         load_description(path)
     path.write_text('name: x\nname: y\n')
-    with pytest.raises(UserError, match=r'm\.yaml:2: name: this key is given twice'):
+    with pytest.raises(UserError, match=r'm\.yaml, line 2: name is given twice, first on line 1'):
         load_description(path)
     path.write_text('- 1\n')
     with pytest.raises(UserError, match='must be a mapping'):
@@ -223,18 +222,13 @@ def test_yaml_that_is_no_yaml(tmp_path: Path) -> None:
         load_description(tmp_path / 'none.yaml')
 
 
-def test_numbers_in_every_spelling() -> None:
-    data = marked_yaml.parse('a: 1e-3\nb: 1.0e+7\nc: .5\nd: 3\ne: -2E5', 'x').data
-    assert data == {'a': 1e-3, 'b': 1e7, 'c': 0.5, 'd': 3, 'e': -2e5}
-
-
 def test_overlay_changes_a_value_and_is_blamed_for_its_errors(tmp_path: Path) -> None:
     path = tmp_path / 'heavier.yaml'
     path.write_text('bodies:\n  carriage:\n    mass_kg: 4.5\n')
     machine = load_machine('rigid', overlays=[path])
     assert machine.description.bodies['carriage'].mass == 4.5
     path.write_text('bodies:\n  carriage:\n    mass_kg: 0\n')
-    with pytest.raises(UserError, match=r'heavier\.yaml:3: bodies\.carriage\.mass_kg'):
+    with pytest.raises(UserError, match=r'heavier\.yaml, line 3: bodies\.carriage\.mass_kg'):
         load_machine('rigid', overlays=[path])
     machine = load_machine('rigid', overlays=[{'gravity_m_s2': [0, 0, 0]}])
     assert not machine.description.gravity.any()

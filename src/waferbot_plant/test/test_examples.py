@@ -12,6 +12,7 @@ from waferbot_plant import modes, motors, plant, statics
 from waferbot_plant.plant import load_machine
 
 
+@pytest.mark.slow
 def test_single_mass_on_a_motor_reaches_the_speed_of_theory() -> None:
     """
     The step of a synchronous motor whose voltages turn with its electrical angle.
@@ -53,6 +54,7 @@ def test_single_mass_on_a_motor_reaches_the_speed_of_theory() -> None:
     assert np.abs(np.array(speeds) - reference).max() < 2e-3 * max(reference)
 
 
+@pytest.mark.slow
 def test_single_mass_sticks_at_its_breakaway() -> None:
     machine = load_machine('single_mass')
     parameters = machine.parameters()
@@ -70,6 +72,7 @@ def test_single_mass_sticks_at_its_breakaway() -> None:
     assert constant == pytest.approx(51.96, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_two_mass_drive_has_its_resonance() -> None:
     """sqrt(c (1/J1 + 1/J2)), and damping d (1/J1 + 1/J2) / (2 omega)."""
     machine = load_machine('two_mass_drive')
@@ -82,6 +85,7 @@ def test_two_mass_drive_has_its_resonance() -> None:
     assert mode.shape['load_angle'] == pytest.approx(-0.25, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_two_mass_drive_follows_the_exact_motion() -> None:
     """A torque step on the motor, against the closed solution of the damped pair."""
     machine = load_machine('two_mass_drive')
@@ -112,6 +116,7 @@ def test_two_mass_drive_follows_the_exact_motion() -> None:
             assert s['position'][load] == pytest.approx(mean - j1 / (j1 + j2) * twist, rel=2e-5)
 
 
+@pytest.mark.slow
 def test_two_link_arm_obeys_the_textbook_equations() -> None:
     """M, Coriolis and gravity of the planar arm in closed form, over random states."""
     seed = 11
@@ -144,6 +149,7 @@ def test_two_link_arm_obeys_the_textbook_equations() -> None:
         assert result == pytest.approx(expected, rel=1e-11, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_two_link_arm_is_held_by_the_torques_of_statics() -> None:
     machine = load_machine('planar_two_link_arm')
     forces = statics.holding_forces(

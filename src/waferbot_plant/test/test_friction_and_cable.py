@@ -169,6 +169,7 @@ def _event_driven(duration: float) -> tuple[list[float], float]:
             return breakaways, position
 
 
+@pytest.mark.slow
 def test_stick_slip_agrees_with_an_event_driven_solution() -> None:
     """
     A mass drawn by a slow spring jerks along; every breakaway comes at the same time.
@@ -198,9 +199,10 @@ def test_stick_slip_agrees_with_an_event_driven_solution() -> None:
     assert errors[1] < (jerks / 4 + 1) / 18000
 
 
+@pytest.mark.slow
 def test_two_frictions_on_one_coordinate_share_the_loss() -> None:
     """Payload and counterweight guide, tied by a rigid cable, stop 80 kg together."""
-    machine = load_machine('rigid')
+    machine = load_machine('flexible', 'rigid')
     parameters = machine.parameters()
     parameters[0]['gravity'] = 0.0
     state = machine.initial_state(parameters)

@@ -8,15 +8,15 @@ import math
 import numpy as np
 import plant_machines as machines
 import pytest
-from numba import njit
 
+from waferbot_lockstep.compiled import compiled
 from waferbot_plant import audit, plant
 from waferbot_plant.plant import advance, load_machine
 
-MODELS = ['rigid', 'simplified', 'flexible']
+MODELS = ['rigid', pytest.param('simplified', marks=pytest.mark.slow), 'flexible']
 
 
-@njit
+@compiled
 def run(state, parameters, ticks, amplitude, record):
     """Advance under slow three-phase voltages; keep the position of every tick."""
     voltage = np.zeros(9)
@@ -59,6 +59,7 @@ def test_energy_supplied_is_energy_stored_and_lost(model: str) -> None:
     assert sum(powers.values()) == pytest.approx(supplied, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('model', MODELS)
 def test_energy_is_bounded_without_losses(model: str) -> None:
     """Ten seconds of free motion and vibration, nothing dissipated: bounded drift, order two."""
@@ -127,7 +128,11 @@ def test_call_by_call_and_in_a_compiled_loop_are_the_same_to_the_last_bit() -> N
 
 
 def test_flexible_tends_to_rigid_as_it_stiffens() -> None:
-    """A thousand and a million times stiffer, the axes move like those of the rigid model."""
+    """
+    A thousand and a million times stiffer, the axes move like those of the rigid model.
+
+    Without friction, which the rigid model does not have.
+    """
     names = ('y_linear', 'x_rotate', 'y_rotate')
     rigid, _, _, expected = drive('rigid', 900)
     expected = expected[:, [rigid.coordinates.index(name) for name in names]]
@@ -139,9 +144,11 @@ def test_flexible_tends_to_rigid_as_it_stiffens() -> None:
             parameters[0][f'{kind}_stiffness'] *= factor
             parameters[0][f'{kind}_rest'] /= factor
         for place, element in enumerate(machine.assembly.springs):
-            if element.connections:
-                parameters[0]['spring_damping'][place] *= math.sqrt(factor)
+            parameters[0]['spring_damping'][place] *= (
+                math.sqrt(factor) if element.connections else 0.0
+            )
         parameters[0]['cable_damping'] *= math.sqrt(factor)
+        parameters[0]['friction_resistance'] = 0.0
         state = machine.initial_state(parameters)
         held = rigid.initial_state(rigid.parameters(), {}, holding=True)
         state[0]['winding_current'] = held[0]['winding_current']
@@ -155,9 +162,13 @@ def test_flexible_tends_to_rigid_as_it_stiffens() -> None:
 
 
 def test_frozen_connection_is_a_removed_one() -> None:
-    """Switching all connections rigid one by one gives the rigid model itself."""
+    """Switching all connections rigid one by one gives the rigid model, but for its friction."""
     flexible = load_machine('flexible')
-    switched = load_machine('flexible', dict.fromkeys(flexible.description.connections, 'rigid'))
+    switched = load_machine(
+        'flexible',
+        dict.fromkeys(flexible.description.connections, 'rigid'),
+        overlays=[{'frictions': None}],
+    )
     rigid = load_machine('rigid')
     assert switched.coordinates == rigid.coordinates
     assert switched.parameters().tobytes() == rigid.parameters().tobytes()

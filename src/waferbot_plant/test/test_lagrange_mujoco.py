@@ -101,6 +101,7 @@ def _report(name: str, differences: list[float]) -> None:
     assert max(differences) < TOLERANCE
 
 
+@pytest.mark.slow
 def test_acceleration_and_payload_motion_with_reflected_inertias():
     """Compare accelerations, and the wafer's position, orientation, velocity, acceleration."""
     random = np.random.default_rng(SEED)

@@ -14,7 +14,7 @@ from waferbot_plant import motors, plant
 from waferbot_plant.plant import load_machine
 
 
-def motor_on_slide(winding: str, **more):
+def motor_on_slide(winding: str, heating=None, **more):
     """Return a machine of one linear motor on a horizontal mass."""
     return load_machine(
         machines.write_single_mass(
@@ -27,6 +27,7 @@ def motor_on_slide(winding: str, **more):
                     'inductance_lead_to_lead_h': 0.012,
                     'back_emf_lead_to_lead_v_s_m': 127.0,
                     'electrical_cycle_m': 0.032,
+                    **({'heating': heating} if heating else {}),
                 }
             },
             **more,
@@ -185,3 +186,92 @@ def test_shorted_motor_brakes() -> None:
         plant.advance(state, parameters, np.zeros(9))
     assert abs(state[0]['velocity'][0]) < 1e-6
     assert state[0]['copper_loss'][0] == pytest.approx(0.5 * 2.0 * 0.2**2, rel=1e-9)
+
+
+HEATING = {
+    'state': 'warming',
+    'winding_to_air_k_w': 0.5,
+    'winding_capacity_j_k': 4.0,
+    'air_degc': 20.0,
+    'resistance_at_degc': 25.0,
+    'resistance_rise_1_k': 0.00393,
+}
+"""Like a real motor, but warm within seconds."""
+
+
+def warming_motor(**changes):
+    """Return (machine, parameters, state) of a motor that is held and warms up."""
+    machine = motor_on_slide('wye', heating={**HEATING, **changes})
+    parameters = machine.parameters()
+    parameters[0]['mass'][0] = 1e12
+    state = machine.initial_state(parameters)
+    return machine, parameters, state
+
+
+def test_winding_warms_up_as_one_capacity_on_one_resistance() -> None:
+    """Constant current, resistance held: T = T_air + P R_th (1 - exp(-t / (R_th C)))."""
+    _, parameters, state = warming_motor(resistance_rise_1_k=0.0)
+    s = state[0]
+    assert s['winding_temperature'][0] == 20.0
+    voltage = np.zeros(9)
+    voltage[:3] = [8.0, -4.0, -4.0]
+    s['winding_current'][0] = voltage[:3]  # 1 ohm each
+    power = 8.0**2 + 2 * 4.0**2
+    for tick in range(1, 36001):
+        plant.advance(state, parameters, voltage)
+        if tick % 9000 == 0:
+            expected = 20.0 + power * 0.5 * (1.0 - math.exp(-tick / 18000 / (0.5 * 4.0)))
+            assert s['winding_temperature'][0] == pytest.approx(expected, rel=1e-9)
+    stored = 4.0 * (s['winding_temperature'][0] - 20.0)
+    assert s['copper_loss'][0] == pytest.approx(power * 2.0, rel=1e-9)
+    assert stored + s['heat_given_to_air'][0] == pytest.approx(s['copper_loss'][0], rel=1e-12)
+
+
+@pytest.mark.slow
+def test_warm_copper_resists_more() -> None:
+    """At constant voltage the current falls to where heat made and heat given away balance."""
+    _, parameters, state = warming_motor()
+    s = state[0]
+    voltage = np.zeros(9)
+    voltage[:3] = [8.0, -4.0, -4.0]
+    for _ in range(18000 * 20):
+        plant.advance(state, parameters, voltage)
+    squares = 8.0**2 + 2 * 4.0**2
+    # rise x over 25 degC: x + 5 = 0.5 squares / (1 + a x), a quadratic in x
+    a = 0.00393
+    rise = (-(1 + 5 * a) + math.sqrt((1 + 5 * a) ** 2 - 4 * a * (5 - 0.5 * squares))) / (2 * a)
+    assert s['winding_temperature'][0] == pytest.approx(25.0 + rise, abs=0.01)
+    assert s['winding_current'][0][0] == pytest.approx(8.0 / (1 + a * rise), rel=1e-4)
+    heat = motors.copper_loss_power(s, parameters[0], 0)
+    assert heat == pytest.approx(squares / (1 + a * rise), rel=1e-4)
+    books = s['electrical_energy'][0] - s['copper_loss'][0]
+    stored = np.zeros(4)
+    plant.energy(state, parameters, stored)
+    assert abs(books - stored[3]) < 1e-9 * s['electrical_energy'][0]
+    in_copper = 4.0 * (s['winding_temperature'][0] - 20.0)
+    assert in_copper + s['heat_given_to_air'][0] == pytest.approx(s['copper_loss'][0], rel=1e-9)
+
+
+def test_cold_motor_is_the_one_without_heating() -> None:
+    """`state: cold` changes nothing, whatever the other numbers are: the same to the last bit."""
+    ends = []
+    for more in ({}, {'heating': {**HEATING, 'state': 'cold'}}):
+        machine = motor_on_slide('delta', **more)
+        parameters = machine.parameters()
+        state = machine.initial_state(parameters)
+        for _ in range(200):
+            plant.advance(state, parameters, np.linspace(-30.0, 40.0, 9))
+        ends.append(state.tobytes())
+    assert ends[0] == ends[1]
+
+
+def test_shipped_models_stay_cold_unless_asked() -> None:
+    for model in ('rigid', 'simplified', 'flexible'):
+        assert all(
+            motor.heating is None for motor in load_machine(model).description.motors.values()
+        )
+    warm = {axis: {'heating': {'state': 'warming'}} for axis in ('y_linear', 'x_rotate')}
+    machine = load_machine('rigid', overlays=[{'motors': warm}])
+    parameters = machine.parameters()[0]
+    assert parameters['heat_capacity'].tolist() == [1800.0, 1500.0, 0.0]
+    assert machine.description.motors['x_rotate'].heating.coefficient == 0.00393

@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pinocchio_twin
 import plant_machines as machines
 import pytest
 
-from waferbot_plant import plant
+from waferbot_plant import modes, plant, statics
 from waferbot_plant.assembly import home_mass_matrix_and_weight
 from waferbot_plant.plant import load_machine
 
@@ -44,6 +45,45 @@ def test_acceleration_agrees_with_mujoco(model: str) -> None:
     assert worst < 1e-9
 
 
+@pytest.mark.parametrize(
+    'model', ['rigid', pytest.param('simplified', marks=pytest.mark.slow), 'flexible']
+)
+def test_acceleration_agrees_with_pinocchio(model: str) -> None:
+    """1000 random states and forces at a third engine; springs and dampers added by matrices."""
+    seed = 20240502
+    print('seed', seed)
+    random = np.random.default_rng(seed)
+    machine = load_machine(model)
+    twin = pinocchio_twin.PinocchioTwin(machine)
+    stiffness, damping = statics.elastic_stiffness(machine), modes.damping_matrix(machine)
+    rest = np.zeros(len(machine.coordinates))
+    for element in (*machine.assembly.springs, *machine.assembly.cables):
+        for place, ratio in element.terms:
+            rest[place] += element.stiffness * element.rest * ratio
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    size = len(machine.coordinates)
+    free = machines.axes_and_motors(machine)
+    scale = np.array([1.0 if name in free else 1e-4 for name in machine.coordinates])
+    if 'counterweight' in machine.coordinates:  # keep the cable taut: the matrices take it so
+        for name in ('y_linear', 'counterweight'):
+            scale[machine.coordinates.index(name)] = 1e-5
+    result = np.zeros(size)
+    worst = 0.0
+    for _ in range(1000):
+        position = scale * random.uniform(-1.0, 1.0, size)
+        velocity = scale * random.uniform(-3.0, 3.0, size)
+        state[0]['position'], state[0]['velocity'] = position, velocity
+        force = random.uniform(-50.0, 50.0, size)
+        plant.acceleration(state, parameters, force, result)
+        elastic = rest - stiffness @ position - damping @ velocity
+        expected = twin.acceleration(position, velocity, force + elastic)
+        worst = max(worst, np.abs(result - expected).max() / np.abs(expected).max())
+    print('worst relative difference', worst)
+    assert worst < 1e-9
+
+
+@pytest.mark.slow
 def test_any_tree_agrees_with_mujoco() -> None:
     """Forty random trees of six freedoms: branches, slides and hinges in any direction."""
     seed = 99

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Springs in combination, damping, charts and bodies, against independent calculations."""
+"""Springs in combination, damping and charts, against independent calculations."""
 
 import math
 
@@ -11,12 +11,6 @@ from scipy.integrate import simpson, solve_ivp
 from scipy.linalg import eigh
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant.parts.bodies import (
-    Body,
-    centre_of_gravity_m,
-    inertia_about_kg_m2,
-    total_mass_kg,
-)
 from waferbot_plant.parts.damping import coulomb_force, structural_damping, viscous_force
 from waferbot_plant.parts.friction import SpeedFriction
 from waferbot_plant.parts.load_deflection import ForceDeflection, LoadDeflection, MomentTilt
@@ -217,31 +211,3 @@ def test_loads_outside_the_chart_are_refused():
             chart.secant_over_range(50.0, bad)
     with pytest.raises(UserError, match='static load'):
         chart.secant_from_zero(0.0)
-
-
-def test_bodies_together_match_a_sum_over_particles():
-    """Stand each body for six particles on its axes, and sum over the particles."""
-    bodies = (
-        Body(3.0, (0.1, -0.2, 0.3), (0.05, 0.04, 0.06)),
-        Body(5.0, (-0.4, 0.0, 0.2), (0.2, 0.3, 0.15)),
-    )
-    point = np.array([0.05, 0.1, -0.1])
-    total = np.zeros(3)
-    for body in bodies:
-        second = (sum(body.inertia_kg_m2) / 2.0 - np.array(body.inertia_kg_m2)) / body.mass_kg
-        for axis in range(3):
-            for sign in (-1.0, 1.0):
-                place = np.array(body.centre_of_gravity_m)
-                place[axis] += sign * math.sqrt(3.0 * second[axis])
-                arm = place - point
-                total += body.mass_kg / 6.0 * (arm @ arm - arm**2)
-    assert inertia_about_kg_m2(bodies, tuple(point)) == pytest.approx(tuple(total), rel=1e-12)
-    assert total_mass_kg(bodies) == 8.0
-    assert centre_of_gravity_m(bodies) == pytest.approx((-1.7 / 8, -0.6 / 8, 1.9 / 8))
-
-
-def test_impossible_bodies_are_refused():
-    with pytest.raises(UserError, match='triangle inequality'):
-        Body(1.0, (0.0, 0.0, 0.0), (1.0, 0.2, 0.2))
-    with pytest.raises(UserError, match=r'mass_kg is -1\.0'):
-        Body(-1.0, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))

@@ -63,12 +63,13 @@ class Assembly:
     A machine in minimal coordinates.
 
     `coordinates` names z in order; `placing` gives for every coordinate of the description that
-    can move its (place in z, ratio). `springs` includes the viscous dampers, as springs of no
-    stiffness.
+    can move its (place in z, ratio); `link_of` gives for every body the place of its link, -1 for
+    one that stands still. `springs` includes the viscous dampers, as springs of no stiffness.
     """
 
     description: Description
     links: tuple[Link, ...]
+    link_of: dict[str, int]
     coordinates: tuple[str, ...]
     placing: dict[str, tuple[int, float]]
     rotor_inertia: Vector
@@ -79,7 +80,7 @@ class Assembly:
 def assemble(description: Description) -> Assembly:
     """Build the arrays of a description with its connections switched as they are."""
     flexible = {name for name, part in description.connections.items() if part.flexible}
-    links, placing, coordinates = _reduce(description, flexible)
+    links, link_of, placing, coordinates = _reduce(description, flexible)
     rotor_inertia = _rotor_inertia(description, placing, len(coordinates))
     behaviour = Behaviour(description)
     elements = [
@@ -96,6 +97,7 @@ def assemble(description: Description) -> Assembly:
     return Assembly(
         description=description,
         links=tuple(links),
+        link_of=link_of,
         coordinates=tuple(coordinates),
         placing=placing,
         rotor_inertia=rotor_inertia,
@@ -104,8 +106,12 @@ def assemble(description: Description) -> Assembly:
     )
 
 
-def build_links(description: Description, flexible: set[str]) -> list[Link]:
-    """Return the links of the tree, parents first, with the freedoms that `flexible` leaves."""
+def build_links(description: Description, flexible: set[str]) -> tuple[list[Link], dict[str, int]]:
+    """
+    Return the links of the tree, parents first, and the place of every body's link among them.
+
+    The links are those of the freedoms that `flexible` leaves; -1 is the base.
+    """
     links: list[Link] = []
     link_of = {BASE: -1}
     waiting = list(description.joints.values())
@@ -130,14 +136,14 @@ def build_links(description: Description, flexible: set[str]) -> list[Link]:
                 + body.inertia
                 + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
             )
-    return links
+    return links, link_of
 
 
 def _reduce(
     description: Description, flexible: set[str]
-) -> tuple[list[Link], dict[str, tuple[int, float]], list[str]]:
-    """Return links, placing of every coordinate in z, and the names of z."""
-    links = build_links(description, flexible)
+) -> tuple[list[Link], dict[str, int], dict[str, tuple[int, float]], list[str]]:
+    """Return links, links of bodies, placing of every coordinate in z, and the names of z."""
+    links, link_of = build_links(description, flexible)
     names = [link.freedom.name for link in links] + [
         rotor.name for rotor in description.rotors.values() if rotor.coordinate == rotor.name
     ]
@@ -166,7 +172,7 @@ def _reduce(
         if leader not in coordinates:
             coordinates.append(leader)
         placing[name] = coordinates.index(leader), group[name] / group[leader]
-    return links, placing, coordinates
+    return links, link_of, placing, coordinates
 
 
 def _rotor_inertia(
@@ -191,7 +197,7 @@ class Behaviour:
     def __init__(self, description: Description) -> None:
         self.description = description
         everything = set(description.connections)
-        self.links, self.placing, self.coordinates = _reduce(description, everything)
+        self.links, _, self.placing, self.coordinates = _reduce(description, everything)
         self.mass_matrix, self.weight = home_mass_matrix_and_weight(
             self.links, self.placing, len(self.coordinates), description.gravity
         )

@@ -17,6 +17,10 @@ which every coordinate is zero; so no chain of frames has to be worked out by ha
   J * speed^2 / 2 of its own coordinate: the turning of the body that it is mounted on is not felt
   by it. Model it as a body on a revolute joint where that matters.
 
+A file may say `extends: other.yaml` and then gives only what differs; a value of `null` takes away
+what the other file has (`frictions: null` makes a machine frictionless), and it is an error to
+take away what is not there.
+
 A quantity may carry where it comes from, `{value: 3.1, from: ...}`, and may have two values,
 `{calculated: 0.008, improved: 0.02, from: ...}`: the damping that follows from part data, and the
 one that makes the machine behave as measured (thesis, chapter 6).
@@ -37,9 +41,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import part_library
-from waferbot_plant.marked_yaml import Document, Key, merge, read
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
@@ -62,6 +66,19 @@ class Body:
     mass: float
     centre_of_gravity: Vector
     inertia: Vector
+
+    def equivalent_box(self) -> tuple[Vector, Vector]:
+        """
+        Return the box that has this mass and these moments of inertia: sides (m), axes (columns).
+
+        A box of sides a, b, c has the moments m (b^2 + c^2) / 12, and so on. The axes are
+        right-handed principal axes.
+        """
+        moments, axes = np.linalg.eigh(self.inertia)
+        if np.linalg.det(axes) < 0.0:
+            axes[:, 0] = -axes[:, 0]
+        squares = 6.0 * (moments.sum() - 2.0 * moments) / self.mass
+        return np.sqrt(np.maximum(squares, 1e-6)), axes
 
 
 @dataclass(frozen=True)
@@ -195,6 +212,23 @@ class Motor:
     inductance: float
     back_emf: float
     electrical_gain: float
+    heating: Heating | None
+
+
+@dataclass(frozen=True)
+class Heating:
+    """
+    How a motor's windings warm up: one heat capacity on one resistance to the air about it.
+
+    `to_air` in K/W, `capacity` in J/K, `air` in degC; the data sheet's winding resistance holds at
+    `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper has 0.00393 at 20 degC.
+    """
+
+    to_air: float
+    capacity: float
+    air: float
+    resistance_at: float
+    coefficient: float
 
 
 @dataclass(frozen=True)
@@ -224,6 +258,7 @@ class Description:
     axes: Mapping[str, str]
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
+    parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
 
@@ -237,7 +272,7 @@ def load_description(
     """
     Read and check a description.
 
-    A file may say `extends: other.yaml` and then gives only what differs. `switches` sets the
+    `switches` sets the
     state of connections, by name or for all at once; `damping` picks between two-valued
     quantities; `overlays` are laid over the file in turn. Raises `UserError` naming file, line and
     key.
@@ -309,7 +344,7 @@ def _unwrap(
                 key, 'takes {value, from} or {calculated, improved, from}, not ' + ', '.join(keys)
             )
         if 'from' in keys:
-            provenance['.'.join(map(str, key))] = str(value['from'])
+            provenance[key_text(key)] = str(value['from'])
         part = 'value' if 'value' in keys else damping
         return _unwrap(document, value[part], (*key, part), damping, {})
     return {
@@ -425,6 +460,7 @@ class _Reader:
             axes=axes,
             motors={axis: self.motor(axis) for axis in self.section('motors')},
             encoders={place: self.encoder(place) for place in self.section('encoders')},
+            parts=self.parts,
             revolute=self.revolute,
             provenance=provenance,
         )
@@ -819,6 +855,20 @@ class _Reader:
             float(value['inductance_lead_to_lead_h']),
             float(back_emf),
             float(cycle) if revolute else 2.0 * math.pi / cycle,
+            self.heating(axis),
+        )
+
+    def heating(self, axis: str) -> Heating | None:
+        """Read how a motor warms up; None for one that stays at the data sheet's temperature."""
+        value = self.data['motors'][axis].get('heating')
+        if value is None or value['state'] == 'cold':
+            return None
+        return Heating(
+            to_air=float(value['winding_to_air_k_w']),
+            capacity=float(value['winding_capacity_j_k']),
+            air=float(value['air_degc']),
+            resistance_at=float(value['resistance_at_degc']),
+            coefficient=float(value['resistance_rise_1_k']),
         )
 
     def encoder(self, place: str) -> Encoder:

@@ -13,7 +13,7 @@ and one that books its loss afterwards, once the step's mean speed is known. `st
 
 from __future__ import annotations
 
-from numba import njit
+from waferbot_lockstep.compiled import compiled
 
 LONGEST_TABLE = 16
 """Most points that a table of friction can have."""
@@ -67,7 +67,7 @@ def state_fields(springs: int, cables: int, frictions: int, coordinates: int) ->
     ]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def add_spring(
     matrix, right, first, second, a, b, stiffness, damping, rest, position, velocity, step
 ):
@@ -89,7 +89,7 @@ def add_spring(
         matrix[max(first, second), min(first, second)] += gain * a * b
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def add_springs(s, p, matrix, right, position, velocity, step):
     """Put all spring-dampers into A and r."""
     for spring in range(len(p['spring_first'])):
@@ -101,7 +101,7 @@ def add_springs(s, p, matrix, right, position, velocity, step):
         )  # fmt: skip
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def book_springs(s, p, mean_speed, step):
     """Add the step's loss d u^2 of every spring-damper to its ledger."""
     for spring in range(len(p['spring_first'])):
@@ -112,7 +112,7 @@ def book_springs(s, p, mean_speed, step):
         s['spring_loss'][spring] += p['spring_damping'][spring] * speed * speed * step
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def cable_elongation(p, cable, position):
     """Return the elongation of a cable from its unstretched length, m; negative when slack."""
     return (
@@ -122,7 +122,7 @@ def cable_elongation(p, cable, position):
     )
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def judge_cables(s, p, middle, speed):
     """
     Decide for each cable how it acts in this step, from the predicted middle of it.
@@ -152,7 +152,7 @@ def judge_cables(s, p, middle, speed):
             s['cable_damping'][cable] = damping
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def add_cables(s, p, matrix, right, position, velocity, step):
     """Put the cables into A and r, as they were judged, and tensions that are fixed already."""
     for cable in range(len(p['cable_first'])):
@@ -170,7 +170,7 @@ def add_cables(s, p, matrix, right, position, velocity, step):
             right[second] -= step * s['cable_force'][cable] * b
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def tension_in_crossing(start, free_end, compliance, stiffness):
     """
     Return the mean tension of a cable that goes slack or becomes taut within a step, N.
@@ -194,14 +194,14 @@ def tension_in_crossing(start, free_end, compliance, stiffness):
     return 2.0 * constant / (line + root**0.5)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def stored_in_cable(p, cable, elongation):
     """Return the energy k max(e, 0)^2 / 2 stored in a cable, J."""
     taut = max(elongation, 0.0)
     return 0.5 * p['cable_stiffness'][cable] * taut * taut
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def book_cables(s, p, before, after, mean_speed, step):
     """
     Note the mean tension of the step, and book the loss: work put in less what is stored.
@@ -225,7 +225,7 @@ def book_cables(s, p, before, after, mean_speed, step):
         )
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def resistance_at(p, friction, speed):
     """Return the dry friction (N, Nm) from its table at a speed (m/s, rad/s) of zero or more."""
     last = p['friction_points'][friction] - 1
@@ -241,7 +241,7 @@ def resistance_at(p, friction, speed):
     return start + rise * (speed - low) / (high - low)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def limit_friction(s, p, speed):
     """
     Set, for each coordinate, how strongly friction resists sliding and how strongly it holds.
@@ -262,7 +262,7 @@ def limit_friction(s, p, speed):
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def book_frictions(s, p, mean_speed, step):
     """Add the step's friction loss to the ledgers, shared among a coordinate's frictions."""
     for friction in range(len(p['friction_coordinate'])):
@@ -273,7 +273,7 @@ def book_frictions(s, p, mean_speed, step):
             s['friction_loss'][friction] += loss * s['friction_now'][friction] / total
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def spring_force(p, spring, position, velocity):
     """Return the force k e + d e' of a spring-damper at one instant, N or Nm."""
     first = p['spring_first'][spring]
@@ -285,7 +285,7 @@ def spring_force(p, spring, position, velocity):
     return p['spring_stiffness'][spring] * deflection + p['spring_damping'][spring] * rate
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def cable_tension(s, p, cable, position, velocity):
     """Return the tension of a cable at one instant, as judged there, N."""
     rate = (
@@ -296,7 +296,7 @@ def cable_tension(s, p, cable, position, velocity):
     return s['cable_stiffness'][cable] * elongation + s['cable_damping'][cable] * rate
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def subtract_instant_forces(s, p, position, velocity, right):
     """Subtract the forces of springs and cables at one instant from `right` (n,), N or Nm."""
     for spring in range(len(p['spring_first'])):
@@ -310,7 +310,7 @@ def subtract_instant_forces(s, p, position, velocity, right):
         right[p['cable_second'][cable]] -= p['cable_second_ratio'][cable] * force
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def elastic_energy(s, p, position):
     """Return the energy in springs and cables, sum of k e^2 / 2, J."""
     energy = 0.0

@@ -12,7 +12,8 @@ error.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from waferbot_lockstep.compiled import compiled
 
 ENCODERS = 4
 """Places for encoders in the contract."""
@@ -32,14 +33,14 @@ STATE_FIELDS: list[tuple] = [('readings', 'i8', (LONGEST_DELAY + 1, ENCODERS))]
 """The last readings, in counts, the newest at place (tick / divider) mod 16."""
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def read_encoder(p, position, encoder):
     """Return the whole counts of one encoder at `position` (n,) of the minimal coordinates."""
     coordinate = p['encoder_coordinate'][encoder]
     return np.int64(np.floor(p['counts_per_unit'][encoder] * position[coordinate]))
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def measure_counts(s, p, tick, counts):
     """
     Read the encoders if `tick` is an encoder tick, and publish the delayed counts into `counts`

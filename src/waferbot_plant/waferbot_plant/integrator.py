@@ -28,8 +28,7 @@ and Applications, Springer 1988.
 
 from __future__ import annotations
 
-from numba import njit
-
+from waferbot_lockstep.compiled import compiled
 from waferbot_plant.elements import (
     add_cables,
     add_springs,
@@ -67,7 +66,7 @@ def state_fields(coordinates: int) -> list[tuple]:
     ]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def advance_step(s, p, voltage, step):
     """Advance state `s` by `step` seconds with the terminal voltages (9,) held."""
     position = s['position']
@@ -113,7 +112,7 @@ def advance_step(s, p, voltage, step):
         position[row] = middle[row]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _find_velocity_change(s, p, step):
     """
     Solve A dz' = r + h friction for dz' and the friction, each within its limits.
@@ -148,13 +147,13 @@ def _find_velocity_change(s, p, step):
             return
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _is_stuck(s, row):
     """Return whether friction holds a coordinate: it has some, and does not slide."""
     return s['sliding'][row] == 0 and s['holding_friction'][row] + s['sliding_friction'][row] > 0.0
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _solve_with_friction(s, p, step):
     """Solve A dz' = r + h friction with the directions of sliding as they stand."""
     matrix = s['mass_matrix']
@@ -182,7 +181,7 @@ def _solve_with_friction(s, p, step):
             s['friction_force'][row] = _holding_force(s, p, row, step)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _lock(matrix, right, locked, value):
     """Make `value` the solution's entry `locked`, exactly, and leave the equations symmetric."""
     for column in range(locked):
@@ -195,7 +194,7 @@ def _lock(matrix, right, locked, value):
     right[locked] = value
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _holding_force(s, p, row, step):
     """Return the friction that keeps a coordinate at rest, (A dz' - r) / h in its row, N or Nm."""
     matrix = s['mass_matrix']
@@ -217,7 +216,7 @@ def _holding_force(s, p, row, step):
     return force
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _cable_tension(s, p, cable, step):
     """Return the mean tension of a cable over the step, as judged, with the present dz', N."""
     if s['cable_stiffness'][cable] == 0.0:
@@ -230,7 +229,7 @@ def _cable_tension(s, p, cable, step):
     )
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _mean_rate(s, p, cable):
     """Return the mean rate of elongation of a cable over the step, m/s."""
     first = p['cable_first'][cable]
@@ -242,7 +241,7 @@ def _mean_rate(s, p, cable):
     )
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _let_cables_change(s, p, step):
     """
     Solve the step again for a cable that goes slack or becomes taut within it.

@@ -32,6 +32,24 @@ from waferbot_plant.assembly import Behaviour
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 
+THESIS_FIRST_FREQUENCIES = {
+    'cable': 37.44,
+    'counterweight_bearing_x': 265.29,
+    'counterweight_bearing_y': 197.25,
+    'counterweight_bearing_z': 140.58,
+    'payload_bearing_x': 1179.05,
+    'payload_bearing_y': 254.36,
+    'payload_bearing_z': 235.70,
+    'x_rotate_bearing_radial': 433.18,
+    'x_rotate_bearing_y': 77.35,
+    'x_rotate_bearing_z': 76.28,
+    'x_rotate_shaft_torsion': 1629.27,
+    'x_rotate_shaft_bending': 349.86,
+    'gearbox': 19.74,
+    'belt': 19.74,
+}
+"""Table 6.7 by the names of our connections, Hz; gearbox and belt are one row there."""
+
 BANDWIDTH_FACTOR = 10.0
 """A connection with a first frequency above this many bandwidths is rigid (chapter 6)."""
 
@@ -53,6 +71,46 @@ class Mode:
 def first_frequencies(description: Description) -> dict[str, float]:
     """Return the first frequency of every connection in Hz, whatever its switch says."""
     return Behaviour(description).first_frequencies()
+
+
+@dataclass(frozen=True)
+class FirstFrequency:
+    """
+    A row of Table 6.7: connections that share a first frequency, Hz, beside that of the thesis.
+
+    `thesis_hz` is None for a connection that the thesis does not have; `flexible` is the state of
+    the connections in the description.
+    """
+
+    connections: tuple[str, ...]
+    frequency_hz: float
+    thesis_hz: float | None
+    flexible: bool
+
+    @property
+    def difference_percent(self) -> float | None:
+        """Return how far ours is above the thesis', in percent of that."""
+        if self.thesis_hz is None:
+            return None
+        return 100.0 * (self.frequency_hz / self.thesis_hz - 1.0)
+
+
+def table_of_first_frequencies(description: Description) -> list[FirstFrequency]:
+    """Return the first frequencies of all connections, the stages of a transmission in one row."""
+    frequencies = first_frequencies(description)
+    together: dict[str, tuple[str, ...]] = {name: (name,) for name in frequencies}
+    for transmission in description.transmissions.values():
+        names = tuple(stage.connection for stage in transmission.stages if stage.connection)
+        together.update(dict.fromkeys(names, names))
+    return [
+        FirstFrequency(
+            connections=names,
+            frequency_hz=frequencies[names[0]],
+            thesis_hz=THESIS_FIRST_FREQUENCIES.get(names[0]),
+            flexible=any(description.connections[name].flexible for name in names),
+        )
+        for names in dict.fromkeys(together.values())
+    ]
 
 
 def pick_simplified(
@@ -166,27 +224,3 @@ def _elastic_shares(machine: Machine, shape: NDArray[np.float64]) -> dict[str, f
     }
     total = sum(energies.values())
     return {name: float(energy / total) for name, energy in energies.items()}
-
-
-def plot_modes(machine: Machine, modes: list[Mode], path: Path) -> None:
-    """Draw how every coordinate moves in every mode (bars, largest 1) into an image file."""
-    import matplotlib
-
-    matplotlib.use('Agg')
-    import matplotlib.pyplot as pyplot
-
-    figure, axes = pyplot.subplots(
-        len(modes), 1, figsize=(10.0, 1.1 * len(modes) + 1.5), sharex=True, squeeze=False
-    )
-    for axis, mode in zip(axes[:, 0], modes, strict=True):
-        axis.bar(range(len(mode.shape)), list(mode.shape.values()), color='tab:blue')
-        axis.axhline(0.0, color='black', linewidth=0.5)
-        axis.set_ylim(-1.1, 1.1)
-        axis.set_ylabel(f'{mode.frequency_hz:.1f} Hz', rotation=0, ha='right', va='center')
-        axis.set_yticks([])
-    axes[-1, 0].set_xticks(range(len(machine.coordinates)))
-    axes[-1, 0].set_xticklabels(machine.coordinates, rotation=60, ha='right')
-    figure.suptitle(f'{machine.description.name}: mode shapes (m and rad, largest entry 1)')
-    figure.tight_layout()
-    figure.savefig(path)
-    pyplot.close(figure)

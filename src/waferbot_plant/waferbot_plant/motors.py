@@ -13,6 +13,15 @@ constant and s_w its phase, a sine of the electrical angle. Back-EMF and force u
 so what the current loses electrically is what the mechanism gains; (3.12) to (3.14) leave the
 phase out and would not conserve power.
 
+A motor may warm up. Its windings are one heat capacity C (J/K) that gives heat to the air through
+one thermal resistance (K/W), and their electrical resistance follows their temperature:
+
+    C dT/dt = sum of R i_w^2 - (T - T_air) / R_thermal        R = R_0 (1 + alpha (T - T_0))
+
+with alpha = 0.393 %/K for copper. These are the heat ports that chapter 7 of the thesis asks for.
+Iron losses, and magnets that weaken as they warm, are left out. A motor without heating stays at
+T_0.
+
 Convention, shared with the amplifier: line k has the phase sin(angle - 2 pi (k - 1) / 3), with
 angle zero at position zero, and line currents of amplitude I in that phase give the largest
 positive force,
@@ -29,8 +38,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from waferbot_lockstep.compiled import compiled
 from waferbot_plant.description import Motor
 from waferbot_plant.multibody import sine_and_cosine
 
@@ -39,6 +48,9 @@ MOTORS = 3
 
 NONE, WYE, DELTA = 0, 1, 2
 """How a motor is wound; NONE where an axis has no motor."""
+
+COLD_DEGC = 25.0
+"""Temperature of the windings of a motor that does not warm up: that of most data sheets."""
 
 _HALF_ROOT_3 = math.sqrt(3.0) / 2.0
 
@@ -50,21 +62,33 @@ PARAMETER_FIELDS: list[tuple] = [
     ('resistance', 'f8', (MOTORS,)),
     ('inductance', 'f8', (MOTORS,)),
     ('back_emf', 'f8', (MOTORS,)),
+    ('resistance_at', 'f8', (MOTORS,)),
+    ('resistance_rise', 'f8', (MOTORS,)),
+    ('heat_capacity', 'f8', (MOTORS,)),
+    ('heat_to_air', 'f8', (MOTORS,)),
+    ('air_temperature', 'f8', (MOTORS,)),
 ]
-"""Of a winding: resistance in ohm, inductance in H, back-EMF amplitude in V s/m or V s/rad."""
+"""
+Of a winding: resistance in ohm at the temperature `resistance_at` (degC) and its rise (1/K);
+inductance in H, back-EMF amplitude in V s/m or V s/rad. Of all windings of a motor together: heat
+capacity in J/K, zero if the motor does not warm up, and heat flow to the air in W/K.
+"""
 
 STATE_FIELDS: list[tuple] = [
     ('winding_current', 'f8', (MOTORS, 3)),
     ('terminals_open', 'i8', (MOTORS,)),
     ('electrical_energy', 'f8', (MOTORS,)),
     ('copper_loss', 'f8', (MOTORS,)),
+    ('winding_temperature', 'f8', (MOTORS,)),
+    ('heat_given_to_air', 'f8', (MOTORS,)),
     ('winding_phase', 'f8', (MOTORS, 3)),
     ('driven_current', 'f8', (MOTORS, 3)),
     ('current_per_speed', 'f8', (MOTORS,)),
 ]
 """
 Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the
-amplifier and turned to heat in the copper since the start (J); and the workings of a step.
+amplifier and turned to heat in the copper since the start (J); temperature of the windings (degC)
+and heat that they gave to the air since the start (J); and the workings of a step.
 """
 
 
@@ -86,7 +110,28 @@ def force_constant(motor: Motor) -> float:
     return _HALF_ROOT_3 * motor.back_emf
 
 
-@njit(cache=True, error_model='numpy')
+def heating_data(motor: Motor) -> dict[str, float]:
+    """Return the thermal parameters of a motor; those of one that stays cold have no effect."""
+    heating = motor.heating
+    if heating is None:
+        return {'resistance_at': COLD_DEGC, 'air_temperature': COLD_DEGC}
+    return {
+        'resistance_at': heating.resistance_at,
+        'resistance_rise': heating.coefficient,
+        'heat_capacity': heating.capacity,
+        'heat_to_air': 1.0 / heating.to_air,
+        'air_temperature': heating.air,
+    }
+
+
+@compiled
+def winding_resistance(s, p, motor):
+    """Return the resistance of one winding at its present temperature, ohm."""
+    warmer = s['winding_temperature'][motor] - p['resistance_at'][motor]
+    return p['resistance'][motor] * (1.0 + p['resistance_rise'][motor] * warmer)
+
+
+@compiled
 def begin_step(s, p, position, voltage, step):
     """
     Solve the windings' equations for a step of `step` seconds as far as that goes without the
@@ -139,7 +184,7 @@ def begin_step(s, p, position, voltage, step):
             current[0] = current[1] = current[2] = circulating
             first = second = third = 0.0
         half = 0.5 * step / p['inductance'][motor]
-        denominator = 1.0 + half * p['resistance'][motor]
+        denominator = 1.0 + half * winding_resistance(s, p, motor)
         driven[0] = (current[0] + half * first) / denominator
         driven[1] = (current[1] + half * second) / denominator
         driven[2] = (current[2] + half * third) / denominator
@@ -148,7 +193,7 @@ def begin_step(s, p, position, voltage, step):
         )
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def force_and_damping(s, p, motor):
     """
     Return (f, d): the mean force of a motor over the step is f - d v, N and N s/m (Nm, Nm s/rad).
@@ -162,7 +207,7 @@ def force_and_damping(s, p, motor):
     return force, 1.5 * back_emf * s['current_per_speed'][motor]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def finish_step(s, p, mean_speed, voltage, step):
     """
     Finish the windings' step, now that the mean speed (n,) of the coordinates is known.
@@ -191,11 +236,30 @@ def finish_step(s, p, mean_speed, voltage, step):
             current[place] = 2.0 * mean - current[place]
         if s['terminals_open'][motor]:
             supplied = 0.0
-        s['copper_loss'][motor] += p['resistance'][motor] * squares * step
+        heat = winding_resistance(s, p, motor) * squares * step
+        s['copper_loss'][motor] += heat
         s['electrical_energy'][motor] += supplied * step
+        if p['heat_capacity'][motor] > 0.0:
+            _warm(s, p, motor, heat, step)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
+def _warm(s, p, motor, heat, step):
+    """
+    Warm the windings of a motor by the heat (J) of a step; implicit midpoint rule, as the rest.
+
+    The resistance used within the step is that of its beginning: an error of first order in the
+    step, 1e-8 of the loss, as temperatures take minutes.
+    """
+    to_air = p['heat_to_air'][motor]
+    capacity = p['heat_capacity'][motor]
+    warmer = s['winding_temperature'][motor] - p['air_temperature'][motor]
+    change = (heat - step * to_air * warmer) / (capacity + 0.5 * step * to_air)
+    s['winding_temperature'][motor] += change
+    s['heat_given_to_air'][motor] += step * to_air * (warmer + 0.5 * change)
+
+
+@compiled
 def magnetic_energy(s, p):
     """Return the energy stored in all windings, sum of L i^2 / 2, J."""
     energy = 0.0
@@ -206,15 +270,15 @@ def magnetic_energy(s, p):
     return energy
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def copper_loss_power(s, p, motor):
     """Return the heat in the windings of one motor, sum of R i^2, W."""
     current = s['winding_current'][motor]
     squares = current[0] * current[0] + current[1] * current[1] + current[2] * current[2]
-    return p['resistance'][motor] * squares
+    return winding_resistance(s, p, motor) * squares
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def measure_line_currents(s, p, line_currents):
     """
     Fill `line_currents` (6,) with lines 1 and 2 of each motor, A, positive into the motor.

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from waferbot_lockstep.compiled import compiled
 
 
 def workspace_fields(links: int, coordinates: int) -> list[tuple]:
@@ -67,7 +67,7 @@ def parameter_fields(links: int, coordinates: int) -> list[tuple]:
     ]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def sine_and_cosine(angle):
     """
     Return sin and cos of an angle in rad, to the last bit or next to it.
@@ -88,7 +88,7 @@ def sine_and_cosine(angle):
     return math.sin(angle), math.cos(angle)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def mass_matrix_and_bias(s, p, position, velocity):
     """
     Compute M and h at `position` and `velocity` (n,) into the workspace of `s`.
@@ -186,7 +186,7 @@ def mass_matrix_and_bias(s, p, position, velocity):
             wrench[parent, entry] += wrench[own, entry]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _place_link(s, p, link, position, velocity):
     """Set pose, axis, twist and velocity-product acceleration of a link from its parent's."""
     rotation = s['rotation']
@@ -276,7 +276,7 @@ def _place_link(s, p, link, position, velocity):
         point[own, 0], point[own, 1], point[own, 2] = px + ax * q, py + ay * q, pz + az * q
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def _weigh_link(s, p, link):
     """Set the inertia of a link's own body about the base origin and the wrench of its drift."""
     composite = s['composite']
@@ -360,7 +360,7 @@ def _weigh_link(s, p, link):
     wrench[own, 5] = mass * gz + ex * cy - ey * cx + wx * ly - wy * lx
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def kinetic_energy(s, p, velocity):
     """Return the kinetic energy z' M z / 2 in J, after `mass_matrix_and_bias` at that pose."""
     mass_matrix = s['mass_matrix']
@@ -372,7 +372,7 @@ def kinetic_energy(s, p, velocity):
     return 0.5 * twice
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def gravity_energy(s, p):
     """
     Return the potential energy of gravity, -m g . r (2.24), in J, zero with everything at the
@@ -392,7 +392,7 @@ def gravity_energy(s, p):
     return energy
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def factorise(matrix):
     """
     Factorise a symmetric positive definite matrix (n, n) in place, A = L' D L, lower triangle.
@@ -412,7 +412,7 @@ def factorise(matrix):
             matrix[pivot, row] *= inverse
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def solve(factors, vector):
     """Solve A x = vector (n,) in place with the factors of A from `factorise`."""
     size = len(vector)

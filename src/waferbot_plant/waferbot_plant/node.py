@@ -69,11 +69,17 @@ class PlantNode(LockstepNode):
         super().__init__(
             'plant', {PHASE_VOLTAGES: ALL_AXES}, (ENCODERS_TOPIC, PHASE_CURRENTS), **node_options
         )
-        description = self.declare_parameter('description', 'rigid').value
+        description = self.declare_fixed(
+            'description', 'rigid', 'mechanism: name of a shipped description, or a YAML file'
+        )
         damping = self.declare_choice(
             'damping', 'improved', ('calculated', 'improved'), 'damping of the connections'
         )
-        self._paused = bool(self.declare_parameter('start_paused', False).value)
+        self._paused = bool(
+            self.declare_fixed(
+                'start_paused', False, 'wait at tick 0 until ~/pause lets time go on'
+            )
+        )
         settings = self.declare_settings('', PLANT_SETTINGS)
         self._realtime_factor = float(settings['realtime_factor'])
         self._recorder_window = int(settings['recorder_window'])
@@ -81,7 +87,8 @@ class PlantNode(LockstepNode):
         self._recorder_heard_s = 0.0
         machine = plant.load_machine(description, damping=damping, timing=self.timing)
         self._model_parameters = machine.parameters()
-        self._model_state = machine.initial_state(self._model_parameters)
+        self._model_state = machine.resting_state(self._model_parameters)
+        self._machine = machine
         self._tick = 0
         self._counts = np.zeros(4, np.int64)
         self._line_currents = np.zeros(2 * len(AXES))
@@ -168,6 +175,13 @@ class PlantNode(LockstepNode):
 
     def _measure(self) -> None:
         tick = self._tick
+        if self.timekeeping == REALTIME:
+            self.inboxes[PHASE_VOLTAGES].newest_possible = tick
+        if tick % SLOW_DIVIDER == 0:
+            coordinate = plant.runaway(self._model_state)
+            if coordinate >= 0:
+                self.fail(self._machine.runaway_message(coordinate, tick))
+                return
         plant.measure(
             self._model_state, self._model_parameters, tick, self._counts, self._line_currents
         )
@@ -232,6 +246,7 @@ class PlantNode(LockstepNode):
         )
         plant.advance(state, self._model_parameters, np.zeros(3 * len(AXES)))
         plant.joint_positions(state, self._model_parameters, self._position, self._velocity)
+        plant.runaway(state)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

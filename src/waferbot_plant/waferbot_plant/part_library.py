@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant.marked_yaml import Document, Key
 from waferbot_plant.parts import (
     belt,
     cable,

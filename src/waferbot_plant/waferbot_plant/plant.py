@@ -20,20 +20,23 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import elements, encoders, integrator, motors, multibody
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
-from waferbot_plant.marked_yaml import Document, read
+
+ABSURD = 1e5
+"""A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def measure(state, parameters, tick, counts, line_currents):
     """
     Measure the machine at tick `tick`.
@@ -48,7 +51,7 @@ def measure(state, parameters, tick, counts, line_currents):
     motors.measure_line_currents(s, p, line_currents)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def advance(state, parameters, voltage):
     """
     Advance the machine by one tick.
@@ -62,7 +65,7 @@ def advance(state, parameters, voltage):
         integrator.advance_step(s, p, voltage, p['step'])
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def joint_positions(state, parameters, position, velocity):
     """Fill `position` and `velocity` (3,) of the axes, m or rad, and per s; zero if missing."""
     s = state[0]
@@ -73,7 +76,29 @@ def joint_positions(state, parameters, position, velocity):
         velocity[axis] = p['axis_ratio'][axis] * s['velocity'][coordinate]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
+def runaway(state):
+    """
+    Return the coordinate (place in z) whose position or speed no machine can have, -1 if all are
+    sound.
+
+    That is a value that is not finite, or above `ABSURD` (m, rad, m/s, rad/s); the largest one
+    where there are several. Meant to be asked every few milliseconds: it says that the simulation
+    blew up, so that nothing made of such values is taken for a result.
+    """
+    s = state[0]
+    found = -1
+    largest = ABSURD
+    for row in range(len(s['position'])):
+        value = max(abs(s['position'][row]), abs(s['velocity'][row]))
+        if not np.isfinite(s['position'][row] + s['velocity'][row]):
+            return row
+        if value > largest:
+            found, largest = row, value
+    return found
+
+
+@compiled
 def mass_matrix(state, parameters, matrix):
     """Fill the symmetric `matrix` (n, n) with M at the present pose, kg, kg m, kg m2."""
     s = state[0]
@@ -83,7 +108,7 @@ def mass_matrix(state, parameters, matrix):
             matrix[row, column] = matrix[column, row] = s['mass_matrix'][row, column]
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def generalised_forces(state, parameters, result):
     """
     Fill `result` (n,) with the forces on z at the present state, N or Nm.
@@ -99,7 +124,7 @@ def generalised_forces(state, parameters, result):
     elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def acceleration(state, parameters, force, result):
     """
     Fill `result` (n,) with z'' at the present state under `force` (n,), N or Nm, and the forces
@@ -118,7 +143,7 @@ def acceleration(state, parameters, force, result):
     multibody.solve(s['factors'], result)
 
 
-@njit(cache=True, error_model='numpy')
+@compiled
 def energy(state, parameters, result):
     """
     Fill `result` (4,) with the stored energies, J: kinetic, gravity, elastic, magnetic.
@@ -213,6 +238,8 @@ class Machine:
                     p['inductance'][place],
                     p['back_emf'][place],
                 ) = motors.winding_data(motor)
+                for name, value in motors.heating_data(motor).items():
+                    p[name][place] = value
         for place, place_name in enumerate(ENCODERS):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
@@ -272,12 +299,42 @@ class Machine:
         where gravity moves an axis; with it the windings carry the currents that hold the axes.
         """
         state = np.zeros(1, self.state_dtype)
+        state['winding_temperature'] = parameters['air_temperature']
         if positions or holding:
             from waferbot_plant.statics import settle
 
             settle(self, state, parameters, positions or {}, holding)
         fill_readings(state, parameters)
         return state
+
+    def runaway_message(self, coordinate: int, tick: int) -> str:
+        """Return the error for the user when `runaway` found a coordinate, naming axis and tick."""
+        name = self.coordinates[coordinate]
+        axes = [
+            axis
+            for axis, own in self.description.axes.items()
+            if self._placing(own)[0] == coordinate
+        ]
+        what = f'axis {axes[0]}' if axes else f'coordinate {name}'
+        return (
+            f'the plant blew up by tick {tick} ({self.timing.seconds(tick):.4f} s): {what} has a '
+            f'position or speed that is not finite or above {ABSURD:g}; the closed loop is '
+            'unstable (gains, damping), or the description needs more substeps'
+        )
+
+    def resting_state(self, parameters: NDArray[np.void]) -> NDArray[np.void]:
+        """
+        Return the state in which a run begins: at rest at home, held by the motors' currents.
+
+        A machine that its motors cannot hold (one with a free joint) begins at home without
+        currents.
+        """
+        from waferbot_plant.statics import NoEquilibrium
+
+        try:
+            return self.initial_state(parameters, holding=True)
+        except NoEquilibrium:
+            return self.initial_state(parameters)
 
 
 def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None:
@@ -356,7 +413,7 @@ def load_machine(
     `UserError`.
     """
     documents = tuple(
-        Document(dict(overlay), {(): 'overlay'})
+        Document(dict(overlay), {(): ('overlay', 1)})
         if isinstance(overlay, Mapping)
         else read(Path(overlay))
         for overlay in overlays

@@ -28,6 +28,10 @@ from waferbot_plant.plant import Machine
 _ITERATIONS = 60
 
 
+class NoEquilibrium(UserError):
+    """The machine cannot be held: a coordinate has neither a motor nor a spring on it."""
+
+
 def settle(
     machine: Machine,
     state: NDArray[np.void],
@@ -171,7 +175,7 @@ def _balance(
         ):
             if not needed:
                 return {}
-            raise UserError(
+            raise NoEquilibrium(
                 f'{description.name}: no static equilibrium; '
                 'a coordinate is held neither by a motor nor by a spring'
             )

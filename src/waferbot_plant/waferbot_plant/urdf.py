@@ -109,15 +109,11 @@ def _link(robot: ElementTree.Element, body: Body, at: np.ndarray, colour: str) -
     ElementTree.SubElement(
         inertial, 'inertia', {name: f'{tensor[cell]:.9g}' for name, cell in names.items()}
     )
-    moments, axes = np.linalg.eigh(tensor)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 0] = -axes[:, 0]
-    # A box of sides a, b, c has the moments m (b^2 + c^2) / 12, and so on.
-    squares = 6.0 * (moments.sum() - 2.0 * moments) / body.mass
+    sides, axes = body.equivalent_box()
     visual = ElementTree.SubElement(link, 'visual')
     ElementTree.SubElement(visual, 'origin', xyz=_text(centre), rpy=_text(_roll_pitch_yaw(axes)))
     geometry = ElementTree.SubElement(visual, 'geometry')
-    ElementTree.SubElement(geometry, 'box', size=_text(np.sqrt(np.maximum(squares, 1e-6))))
+    ElementTree.SubElement(geometry, 'box', size=_text(sides))
     material = ElementTree.SubElement(visual, 'material', name=f'{body.name}_colour')
     ElementTree.SubElement(material, 'color', rgba=colour)
 

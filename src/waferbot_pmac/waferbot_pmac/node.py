@@ -81,7 +81,9 @@ class PmacNode(LockstepNode):
         self._current = np.zeros(len(AXES))
         self._cycle = 0
         self._primed = False
-        name = self.declare_parameter('experiment', 'constant').value
+        name = self.declare_fixed(
+            'experiment', 'constant', 'what begins at tick 0: name, file or text of an experiment'
+        )
         self._motion = self._load(name, np.zeros(len(AXES)))
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)

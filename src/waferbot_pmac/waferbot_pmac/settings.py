@@ -20,17 +20,17 @@ A listing holds what one would send to the controller. Motor 1 is `y_linear`, 2 
 
 from __future__ import annotations
 
-import pathlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, Key, parse
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_pmac.i_variables import axis_parameters
-from waferbot_pmac.marked_yaml import MarkedYaml, Path, parse
 
 SettingsOfAxes = dict[str, dict[str, Value]]
 
@@ -60,9 +60,7 @@ class Listing:
     problems: list[Problem] = field(default_factory=list)
 
 
-def load_settings(
-    path: str | pathlib.Path, encoder_addresses: Mapping[int, int] | None = None
-) -> Listing:
+def load_settings(path: str | Path, encoder_addresses: Mapping[int, int] | None = None) -> Listing:
     """
     Read a settings file: YAML if it is called `*.yaml` or `*.yml`, else a listing.
 
@@ -72,10 +70,10 @@ def load_settings(
     `encoder_addresses`: see `parse_listing`.
     """
     try:
-        text = pathlib.Path(path).read_text('utf-8')
+        text = Path(path).read_text('utf-8')
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f'settings {str(path)!r} cannot be read: {error}') from error
-    if pathlib.Path(path).suffix in ('.yaml', '.yml'):
+    if Path(path).suffix in ('.yaml', '.yml'):
         return Listing(parse_yaml(text, str(path)))
     return parse_listing(text, encoder_addresses)
 
@@ -104,14 +102,14 @@ def parse_yaml(text: str, source: str) -> SettingsOfAxes:
     return settings
 
 
-def _mapping(document: MarkedYaml, path: Path, value: Any) -> dict[Any, Any]:
+def _mapping(document: Document, path: Key, value: Any) -> dict[Any, Any]:
     if not isinstance(value, dict):
         raise UserError(f'{document.where(path)} must be a mapping of names to values')
     return value
 
 
 def _checked(
-    document: MarkedYaml, path: Path, axis: str, values: Mapping[Any, object]
+    document: Document, path: Key, axis: str, values: Mapping[Any, object]
 ) -> dict[str, Value]:
     known = {parameter.name: parameter for parameter in axis_parameters(axis)}
     checked = {}
@@ -120,8 +118,7 @@ def _checked(
         if name not in known:
             hint = did_you_mean(str(name), known)
             raise UserError(f'{document.where(inner)} is no setting of an axis{hint}')
-        line = document.lines[inner]
-        checked[name] = check_value(known[name], value, f'{document.source}, line {line}: {axis}')
+        checked[name] = check_value(known[name], value, f'{document.place(inner)}: {axis}')
     return checked
 
 

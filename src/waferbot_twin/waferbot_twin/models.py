@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from ament_index_python.packages import get_package_share_directory
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, parse, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.recording.reader import Recording
 
@@ -50,6 +51,12 @@ class Model:
             for node, parameters in self.parameters.items()
         }
         return yaml.safe_dump(sections, sort_keys=False)
+
+    def with_settings(self, node: str, settings: Mapping[str, Any]) -> Model:
+        """Return the model with other settings of one node laid over its own."""
+        parameters = copy.deepcopy(self.parameters)
+        _lay_over(parameters[node], settings)
+        return replace(self, parameters=parameters)
 
     def of_axes(self, node: str) -> dict[str, dict[str, Any]]:
         """Return the settings per axis of a node, without those that are not an axis'."""
@@ -84,7 +91,7 @@ def load_model(name_or_path: str) -> Model:
             )
     parameters: dict[str, dict[str, Any]] = {node: {} for node in NODES}
     for file in (*base_files(), path):
-        for node, section in _read_sections(file).items():
+        for node, section in _sections(read(file)).items():
             _lay_over(parameters[node], section)
     return Model(path.stem, path, parameters)
 
@@ -95,7 +102,7 @@ def recorded_model(recording: Recording) -> Model:
     if text is None:
         raise UserError(f'{recording.path} does not hold its model; give --model')
     where = recording.path / 'model.yaml'
-    sections = _sections(yaml.safe_load(text), where)
+    sections = _sections(parse(text, str(where)))
     parameters = {node: sections.get(node, {}) for node in NODES}
     return Model(str(recording.run.get('model', 'recorded')), where, parameters)
 
@@ -108,30 +115,28 @@ def base_files() -> tuple[Path, ...]:
     )
 
 
-def _read_sections(path: Path) -> dict[str, dict[str, Any]]:
+def _sections(document: Document) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node in a ROS 2 parameter file."""
-    try:
-        content = yaml.safe_load(path.read_text('utf-8'))
-    except OSError as error:
-        raise UserError(f'{path}: {error.strerror}') from error
-    except yaml.YAMLError as error:
-        raise UserError(f'{path}: no valid YAML: {" ".join(str(error).split())}') from error
-    return _sections(content, path)
-
-
-def _sections(content: Any, path: Path) -> dict[str, dict[str, Any]]:
-    if not isinstance(content, dict):
-        raise UserError(f'{path}: a model is a ROS 2 parameter file with sections per node')
+    if not isinstance(document.data, dict):
+        raise UserError(
+            f'{document.place()}: a model is a ROS 2 parameter file with sections per node'
+        )
     sections: dict[str, dict[str, Any]] = {}
-    for key, section in content.items():
+    for key, section in document.data.items():
         node = str(key).rsplit('/', 1)[-1]
         if node not in NODES:
             raise UserError(
-                f'{path}: section {key!r} is for no node of the twin (nodes: {", ".join(NODES)})'
+                f'{document.place((key,))}: section {key!r} is for no node of the twin '
+                f'(nodes: {", ".join(NODES)})'
             )
         if not isinstance(section, dict) or set(section) != {'ros__parameters'}:
-            raise UserError(f'{path}: section {key!r} must have the one key ros__parameters')
-        _lay_over(sections.setdefault(node, {}), section['ros__parameters'] or {})
+            raise UserError(
+                f'{document.place((key,))}: section {key!r} must have the one key ros__parameters'
+            )
+        parameters = section['ros__parameters'] or {}
+        if not isinstance(parameters, dict):
+            raise document.error((key, 'ros__parameters'), 'must be a mapping of names to values')
+        _lay_over(sections.setdefault(node, {}), parameters)
     return sections
 
 

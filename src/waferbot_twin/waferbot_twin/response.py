@@ -15,8 +15,10 @@ from waferbot_lockstep.contract import (
     PHASE_CURRENTS,
     SERVO_STATE,
 )
+from waferbot_lockstep.timing import Timing
 from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.metrics import StepMetrics, step_metrics
+from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.metrics import StepMetrics, rms, step_metrics
 from waferbot_twin.models import recorded_model
 from waferbot_twin.recording.reader import Recording
 
@@ -44,6 +46,10 @@ class AxisResponse:
     tick_time: np.ndarray
     current: np.ndarray
 
+    def moves(self) -> bool:
+        """Return whether a motion is commanded."""
+        return bool(np.any(np.diff(self.commanded)))
+
     def step(self) -> tuple[float, float] | None:
         """Return time and height of the first step commanded; None if it is not a single jump."""
         change = np.diff(self.commanded)
@@ -52,8 +58,13 @@ class AxisResponse:
             return None
         return float(self.servo_time[jumps[0] + 1]), float(change[jumps[0]])
 
-    def metrics(self) -> StepMetrics | None:
-        """Return the figures of the first step, up to the next one; None if there is no step."""
+    def metrics(self, rise: str = 'first', level_shift: float = 0.0) -> StepMetrics | None:
+        """
+        Return the figures of the first step, up to the next one; None if there is no step.
+
+        `rise` says which arrival at the command ends the rise; `level_shift` moves the levels: see
+        `metrics.step_metrics`.
+        """
         step = self.step()
         if step is None:
             return None
@@ -61,11 +72,32 @@ class AxisResponse:
         later = np.flatnonzero(np.diff(self.commanded))[1:]
         end_s = self.servo_time[later[0] + 1] if len(later) else np.inf
         part = (self.encoder_time >= start_s) & (self.encoder_time < end_s)
-        before = self.commanded[self.servo_time < start_s]
-        origin = before[-1] if len(before) else 0.0
-        return step_metrics(
-            self.encoder_time[part] - start_s, self.position[part] - origin, height
-        )
+        time, position = self.since_start()
+        return step_metrics(time[part], position[part], height, rise, level_shift)
+
+    def since_start(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return encoder times counted from the start of the motion, and positions from its origin.
+
+        The motion starts where the command changes first; times before that are negative.
+        """
+        moves = np.flatnonzero(np.diff(self.commanded))
+        first = int(moves[0]) if len(moves) else 0
+        start_s = float(self.servo_time[first + 1]) if len(moves) else float(self.servo_time[0])
+        return self.encoder_time - start_s, self.position - self.commanded[first]
+
+
+def rms_difference(one: AxisResponse, other: AxisResponse) -> float:
+    """
+    Return the RMS of the difference of two responses in position (4.2), m or rad.
+
+    Both are counted from the start of their motions, over the time that both have from there on;
+    `other` is interpolated at the times of `one`.
+    """
+    time, position = one.since_start()
+    other_time, other_position = other.since_start()
+    common = (time >= 0.0) & (time <= other_time[-1])
+    return rms(position[common] - np.interp(time[common], other_time, other_position))
 
 
 def axis_responses(recording: Recording) -> list[AxisResponse]:
@@ -76,6 +108,43 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
     amplifier = amplifier_parameters(model.of_axes('copley'), timing, str(recording.path))[0]
     encoders, currents = recording[ENCODERS_TOPIC], recording[PHASE_CURRENTS]
     servo_state, command = recording[SERVO_STATE], recording[CURRENT_COMMAND]
+    return _responses(
+        timing,
+        servo,
+        amplifier,
+        (encoders['tick'], encoders['counts']),
+        (currents['tick'], currents['current']),
+        (servo_state['tick'], servo_state['commanded_position'], servo_state['following_error']),
+        command['current'],
+    )
+
+
+def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
+    """Return the three axes of what an in-process twin has just run, without recording it."""
+    commanded, following_error = np.split(signals.servo_state, 5, axis=1)[:2]
+    return _responses(
+        signals.timing,
+        twin.servo_parameters[0],
+        twin.amplifier_parameters[0],
+        (np.array(signals.encoder_ticks), signals.counts),
+        (np.arange(signals.first, signals.first + signals.ticks), signals.line_current),
+        (np.array(signals.servo_ticks), commanded, following_error),
+        signals.current_command,
+    )
+
+
+def _responses(
+    timing: Timing,
+    servo: np.void,
+    amplifier: np.void,
+    encoders: tuple[np.ndarray, np.ndarray],
+    currents: tuple[np.ndarray, np.ndarray],
+    servo_state: tuple[np.ndarray, np.ndarray, np.ndarray],
+    current_command: np.ndarray,
+) -> list[AxisResponse]:
+    """Return the three axes from (ticks, values) of each topic and the settings that were used."""
+    encoder_tick, counts = encoders
+    servo_tick, commanded, following_error = servo_state
     delay_s = timing.encoder_divider * timing.tick_s
     responses = []
     for place, axis in enumerate(AXES):
@@ -85,13 +154,13 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
             AxisResponse(
                 axis,
                 UNITS[axis],
-                encoders['tick'] / timing.current_loop_hz - delay_s,
-                encoders['counts'][:, encoder] / per_unit,
-                servo_state['tick'] / timing.current_loop_hz,
-                servo_state['commanded_position'][:, place] / per_unit,
-                servo_state['following_error'][:, place] / per_unit,
-                command['current'][:, place],
-                currents['tick'] / timing.current_loop_hz,
+                encoder_tick / timing.current_loop_hz - delay_s,
+                counts[:, encoder] / per_unit,
+                servo_tick / timing.current_loop_hz,
+                commanded[:, place] / per_unit,
+                following_error[:, place] / per_unit,
+                current_command[:, place],
+                currents[0] / timing.current_loop_hz,
                 _driving_current(currents, place, amplifier, encoders),
             )
         )
@@ -99,7 +168,10 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
 
 
 def _driving_current(
-    currents: np.ndarray, axis: int, amplifier: np.void, encoders: np.ndarray
+    currents: tuple[np.ndarray, np.ndarray],
+    axis: int,
+    amplifier: np.void,
+    encoders: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """
     Return 2/3 sum_k i_k sin(theta - 2 pi (k - 1) / 3) in A, from the two measured lines of an axis.
@@ -107,12 +179,12 @@ def _driving_current(
     theta is the electrical angle that the amplifier uses: newest counts, held between messages.
     """
     encoder = amplifier['commutation_encoder'][axis]
-    rows = np.searchsorted(encoders['tick'], currents['tick'], side='right') - 1
-    counts = encoders['counts'][np.maximum(rows, 0), encoder]
+    rows = np.searchsorted(encoders[0], currents[0], side='right') - 1
+    counts = encoders[1][np.maximum(rows, 0), encoder]
     cycle = amplifier['counts_per_electrical_cycle'][axis]
     turn = counts / cycle + amplifier['commutation_offset_turn'][axis]
     theta = 2.0 * np.pi * (turn % 1.0)
-    one, two = currents['current'][:, 2 * axis], currents['current'][:, 2 * axis + 1]
+    one, two = currents[1][:, 2 * axis], currents[1][:, 2 * axis + 1]
     projected = sum(
         current * np.sin(theta - 2.0 * np.pi * phase / 3.0)
         for phase, current in enumerate((one, two, -(one + two)))

@@ -15,8 +15,8 @@ from typing import Any
 import jsonschema
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, Key, parse
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_pmac.marked_yaml import MarkedYaml, parse
 
 LENGTH_UNITS = ('m', 'rad', 'counts')
 UNITS_OF_AXIS = {
@@ -53,7 +53,7 @@ class Experiment:
     motion: Mapping[str, Mapping[str, Any]]
     program: tuple[Mapping[str, Any], ...]
     text: str
-    document: MarkedYaml
+    document: Document
 
 
 def shipped_experiments() -> list[str]:
@@ -118,7 +118,7 @@ def _checked(text: str, source: str) -> Experiment:
     )
 
 
-def _explained(error: jsonschema.ValidationError, document: MarkedYaml) -> str:
+def _explained(error: jsonschema.ValidationError, document: Document) -> str:
     """Return one line for the user from an error of the schema."""
     path = tuple(error.absolute_path)
     value: Any = error.validator_value
@@ -139,7 +139,7 @@ def _explained(error: jsonschema.ValidationError, document: MarkedYaml) -> str:
     return f'{document.where(path)}: {error.message}'
 
 
-def _not_finite(data: Any, path: tuple[str | int, ...]) -> Iterator[tuple[str | int, ...]]:
+def _not_finite(data: Any, path: Key) -> Iterator[Key]:
     if isinstance(data, dict):
         for key, value in data.items():
             yield from _not_finite(value, (*path, key))
@@ -150,7 +150,7 @@ def _not_finite(data: Any, path: tuple[str | int, ...]) -> Iterator[tuple[str | 
         yield path
 
 
-def _check_motion(document: MarkedYaml, axis: str, motion: Mapping[str, Any]) -> None:
+def _check_motion(document: Document, axis: str, motion: Mapping[str, Any]) -> None:
     """Check what the schema cannot say: units of the axis, one of several keys, order of times."""
     path = ('motion', axis)
     kind = motion['kind']
@@ -191,8 +191,8 @@ def _length_keys(quantity: str) -> list[str]:
 
 
 def _only_one(
-    document: MarkedYaml,
-    path: tuple[str | int, ...],
+    document: Document,
+    path: Key,
     mapping: Mapping[str, Any],
     keys: list[str],
 ) -> None:
@@ -205,7 +205,7 @@ def _only_one(
         raise UserError(f'{document.where(path)}: one of {", ".join(keys)} is missing')
 
 
-def _check_statement(document: MarkedYaml, place: int, statement: Mapping[str, Any]) -> None:
+def _check_statement(document: Document, place: int, statement: Mapping[str, Any]) -> None:
     path = ('program', place)
     _only_one(document, path, statement, ['dwell_s', 'linear', 'rapid'])
     if 'linear' not in statement:

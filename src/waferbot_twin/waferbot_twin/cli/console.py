@@ -18,17 +18,18 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 
 QUIET_S = 2.0
 """Nothing shorter than this gets a progress bar."""
 
-error_console = Console(stderr=True, highlight=False)
+error_console = Console(stderr=True, highlight=False, markup=False)
 
 
 def _result_console() -> Console:
     """Return a console that keeps tables whole when the output goes to a file."""
-    console = Console(highlight=False)
-    return console if console.is_terminal else Console(highlight=False, width=120)
+    console = Console(highlight=False, markup=False)
+    return console if console.is_terminal else Console(highlight=False, markup=False, width=120)
 
 
 result_console = _result_console()
@@ -47,6 +48,21 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float) and not abs(value) < float('inf'):
         return None
     return value
+
+
+def new_table(*headings: str) -> Table:
+    """Return an empty table: the first column names the row, the others hold numbers."""
+    table = Table(box=None, pad_edge=False)
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify='right' if place else 'left', no_wrap=True)
+    return table
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """Return a number with so many significant digits; a dash where there is none."""
+    if value is None or not abs(value) < float('inf'):
+        return '-'
+    return f'{value:.{digits}g}'
 
 
 def say(text: str) -> None:

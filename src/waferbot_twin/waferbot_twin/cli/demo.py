@@ -40,7 +40,7 @@ def execute(options: argparse.Namespace) -> int:
 
     folder: Path = options.out
     plan = make_plan('rigid', 'step')
-    say('Three nodes over ROS 2: plant, pmac, copley. The first run also compiles the model.')
+    say('Three nodes over ROS 2: plant, pmac, copley.')
     over_ros = run.run_plan(plan, _run_options('ros', folder / 'ros'))
     say('The same in one process, without ROS.')
     in_process = run.run_plan(plan, _run_options('inprocess', folder / 'inprocess'))

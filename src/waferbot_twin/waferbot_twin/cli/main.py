@@ -13,9 +13,33 @@ from waferbot_lockstep.errors import UserError
 # Imported first: it decides where compiled code is kept.
 import waferbot_lockstep.compiled  # noqa: F401  isort: skip
 
-from waferbot_twin.cli import demo, info, plot, replay, run
+from waferbot_twin.cli import (
+    calibrate,
+    compare,
+    demo,
+    info,
+    metrics,
+    modes,
+    plot,
+    replay,
+    run,
+    tables,
+    verify,
+)
 
-COMMANDS = {'run': run, 'replay': replay, 'info': info, 'plot': plot, 'demo': demo}
+COMMANDS = {
+    'run': run,
+    'replay': replay,
+    'info': info,
+    'plot': plot,
+    'metrics': metrics,
+    'compare': compare,
+    'calibrate': calibrate,
+    'tables': tables,
+    'modes': modes,
+    'verify': verify,
+    'demo': demo,
+}
 
 EXIT_OK, EXIT_ERROR, EXIT_INTERRUPTED = 0, 1, 130
 

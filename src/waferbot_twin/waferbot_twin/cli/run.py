@@ -14,10 +14,13 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
+from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.plan import Outcome, Plan, make_plan
 
@@ -28,6 +31,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot run`."""
     parser.add_argument('--experiment', default='step', metavar='NAME|FILE', help='default: step')
     parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
+    parser.add_argument(
+        '--pmac-settings',
+        type=Path,
+        metavar='FILE',
+        help='I-variables to lay over the model: a plain listing (I130=2000 ...) or YAML',
+    )
     parser.add_argument('--engine', choices=ENGINES, default='ros', help='default: ros')
     parser.add_argument('--out', type=Path, metavar='DIR', help='record to this new folder')
     parser.add_argument('--force', action='store_true', help='replace the recording at --out')
@@ -54,6 +63,8 @@ def execute(options: argparse.Namespace) -> int:
     if options.duration is not None and not 0.0 < options.duration < 1e6:
         raise UserError(f'--duration is {options.duration:g} s; it must be above 0 and below 1e6')
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
+    if options.pmac_settings is not None:
+        plan = with_pmac_settings(plan, options.pmac_settings)
     result = run_plan(plan, options)
     if options.json:
         print_json(result)
@@ -69,8 +80,20 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
+def with_pmac_settings(plan: Plan, file: Path) -> Plan:
+    """Return the plan with I-variables from a file; tell what in a listing was not taken over."""
+    listing = load_settings(file)
+    for problem in listing.problems:
+        say(f'{file}: {problem}')
+    if not listing.settings:
+        raise UserError(f'{file}: no I-variable of the three motors is set in it')
+    return replace(plan, model=plan.model.with_settings('pmac', listing.settings))
+
+
 def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     """Run a plan on the chosen engine; return the result as plain values."""
+    if not compiled_before():
+        say('compiling the model: once for these sources, some 20 s, then kept on disk')
     begun_s = time.perf_counter()
     with progress_bar(f'{plan.experiment.name} on {plan.model.name}') as progress:
         if options.engine == 'inprocess':

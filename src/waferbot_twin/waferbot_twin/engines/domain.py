@@ -22,13 +22,19 @@ LAST_DOMAIN = 101
 """ROS 2 recommends domains up to 101 on Linux; 0 and the low ones are where people work by hand."""
 
 
+HIGHEST_DOMAIN = 232
+"""Above it the UDP ports of the domain would not be port numbers any more."""
+
+
 class Domain:
     """A claimed ROS domain; the claim holds until `release` or the end of the process."""
 
     def __init__(self, wanted: int | None = None) -> None:
         """Claim `wanted`, else the user's ROS_DOMAIN_ID, else a free domain; raises `UserError`."""
         if wanted is None and os.environ.get('ROS_DOMAIN_ID'):
-            wanted = _number(os.environ['ROS_DOMAIN_ID'])
+            wanted = _number('ROS_DOMAIN_ID', os.environ['ROS_DOMAIN_ID'])
+        elif wanted is not None:
+            wanted = _number('--domain', wanted)
         candidates = range(FIRST_DOMAIN, LAST_DOMAIN + 1) if wanted is None else (wanted,)
         for number in candidates:
             lock = _claim(number)
@@ -64,11 +70,13 @@ def _claim(number: int) -> IO[str] | None:
     return lock
 
 
-def _number(text: str) -> int:
+def _number(source: str, text: str | int) -> int:
     try:
         number = int(text)
     except ValueError:
         number = -1
-    if not 0 <= number <= 232:
-        raise UserError(f'ROS_DOMAIN_ID is {text!r}; it must be a whole number from 0 to 232')
+    if not 0 <= number <= HIGHEST_DOMAIN:
+        raise UserError(
+            f'{source} is {text!r}; it must be a whole number from 0 to {HIGHEST_DOMAIN}'
+        )
     return number

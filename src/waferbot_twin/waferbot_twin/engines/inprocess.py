@@ -8,6 +8,7 @@ left out. Signals are therefore bit-identical to those of a run over ROS.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ from waferbot_lockstep.contract import (
     SLOW_DIVIDER,
     Topic,
 )
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
@@ -105,6 +108,16 @@ class Signals:
         self.joint_position = np.zeros((slow_rows, axes))
         self.joint_velocity = np.zeros((slow_rows, axes))
 
+    def until(self, tick: int) -> Signals:
+        """Return the part of these signals before `tick`."""
+        part = Signals(self.first, tick - self.first, self.timing)
+        messages = int(np.searchsorted(self.amplifier_tick[: self.amplifier_messages[0]], tick))
+        for name, array in vars(part).items():
+            if isinstance(array, np.ndarray):
+                array[:] = getattr(self, name)[: len(array)]
+        part.amplifier_messages[0] = messages
+        return part
+
     def _ticks_of(self, divider: int) -> range:
         start = -(-self.first // divider) * divider
         return range(start, self.first + self.ticks, divider)
@@ -125,6 +138,15 @@ class Signals:
         return self._ticks_of(SLOW_DIVIDER)
 
 
+class Runaway(UserError):
+    """The plant blew up; `signals` are those of the stretch in which it did, up to that tick."""
+
+    def __init__(self, message: str, signals: Signals) -> None:
+        """Keep the signals beside the message."""
+        super().__init__(message)
+        self.signals = signals
+
+
 class Twin:
     """
     The closed loop of plant, PMAC and Copley, ready to run.
@@ -142,7 +164,7 @@ class Twin:
             timing=timing,
         )
         self.plant_parameters = self.machine.parameters()
-        self.plant_state = self.machine.initial_state(self.plant_parameters)
+        self.plant_state = self.machine.resting_state(self.plant_parameters)
         self.servo_parameters = servo_parameters(model.of_axes('pmac'), str(model.path))
         self.servo_state = servo.initial_state(self.servo_parameters)
         self.amplifier_parameters = amplifier_parameters(
@@ -156,9 +178,13 @@ class Twin:
         self._current = np.zeros(len(AXES))
 
     def advance(self, ticks: int) -> Signals:
-        """Run the next `ticks` ticks and return their signals."""
+        """
+        Run the next `ticks` ticks and return their signals.
+
+        Raises `Runaway` if the plant blows up, with the signals up to there.
+        """
         signals = Signals(self.tick, ticks, self.timing)
-        _advance(
+        stopped, coordinate = _advance(
             self.tick,
             ticks,
             self.timing.encoder_divider,
@@ -187,6 +213,10 @@ class Twin:
             signals.joint_position,
             signals.joint_velocity,
         )
+        if coordinate >= 0:
+            self.tick = stopped
+            message = self.machine.runaway_message(coordinate, stopped)
+            raise Runaway(message, signals.until(stopped))
         self.tick += ticks
         return signals
 
@@ -207,8 +237,14 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
         return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
     with RecordingWriter(out, plan.attachments('inprocess'), force) as writer:
         recorder = SignalRecorder(writer, plan.timing)
-        for signals in _chunks(twin, plan.ticks, progress):
-            recorder.write(signals)
+        try:
+            for signals in _chunks(twin, plan.ticks, progress):
+                recorder.write(signals)
+        except Runaway as error:
+            recorder.write(error.signals)
+            with contextlib.suppress(UserError):  # of what is missing behind that tick
+                recorder.close(plan.ticks)
+            raise
         loop_s = time.perf_counter() - begun_s
         return Outcome(recorder.close(plan.ticks), loop_s)
 
@@ -219,9 +255,12 @@ def _compile(plan: Plan) -> None:
 
 
 def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
-    while twin.tick < ticks:
-        yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
-        progress(twin.tick, ticks)
+    with Interrupt() as interrupt:
+        while twin.tick < ticks:
+            yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+            progress(twin.tick, ticks)
+            if interrupt.raised:
+                raise KeyboardInterrupt
 
 
 class SignalRecorder:
@@ -341,6 +380,8 @@ def _advance(
 
     Within a tick: plant measures; PMAC, on a servo tick; Copley; plant integrates. `start`, `counts`
     and `current` carry over to the next call; the *_out and amplifier_* arrays are filled from row 0.
+    Returns the tick that comes next, and -1, or the coordinate for which it stopped at that tick
+    because the plant blew up.
     """
     position_encoder = servo_parameters[0]['Ixx03']
     target = np.empty(3)
@@ -354,6 +395,11 @@ def _advance(
         tick = first + row
         line_current = line_current_out[row]
         voltage = voltage_out[row]
+        if tick % SLOW_DIVIDER == 0:
+            coordinate = plant.runaway(plant_state)
+            if coordinate >= 0:
+                amplifier_messages[0] = amplifier_row
+                return tick, coordinate
         plant.measure(plant_state, plant_parameters, tick, counts, line_current)
         if tick % SLOW_DIVIDER == 0:
             plant.joint_positions(
@@ -409,3 +455,4 @@ def _advance(
         open_terminals(plant_state, open_out[row])
         plant.advance(plant_state, plant_parameters, voltage)
     amplifier_messages[0] = amplifier_row
+    return first + ticks, -1

@@ -19,7 +19,8 @@ from rclpy.signals import SignalHandlerOptions
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.node import Interrupt, LockstepNode, make_executor
+from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.node import LockstepNode, make_executor
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.engines.ros import (
@@ -124,7 +125,7 @@ def replay_over_ros(
         domain = Domain()
         stack.callback(domain.release)
         stack.enter_context(ros_environment(domain.number, any_host=False))
-        interrupt = Interrupt()
+        interrupt = stack.enter_context(Interrupt())
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         player = Player(recording, node, ticks)

@@ -28,15 +28,22 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
-from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
+from waferbot_lockstep.contract import (
+    AMPLIFIER_STATE,
+    AXES,
+    RECORDER_WINDOW,
+    SERVO_STATE,
+    Topic,
+)
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import (
     SIGN_OF_LIFE_PERIOD_S,
-    Interrupt,
     LockstepNode,
     make_executor,
 )
 from waferbot_twin.engines.domain import Domain
+from waferbot_twin.models import NODES
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import close_complete
 from waferbot_twin.recording.recorder import Recorder
@@ -82,20 +89,26 @@ def run(
     there is closed and readable.
     """
     options = options or RosOptions()
+    _check_names(options)
     with contextlib.ExitStack() as stack:
         domain = Domain(options.domain)
         stack.callback(domain.release)
         stack.enter_context(ros_environment(domain.number, options.any_host))
         if options.on_domain:
             options.on_domain(domain.number)
-        interrupt = Interrupt()
+        interrupt = stack.enter_context(Interrupt())
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         engine = 'composed' if options.composed else 'ros'
         writer = None
         if out is not None:
             writer = stack.enter_context(RecordingWriter(out, plan.attachments(engine), force))
-        recorder = Recorder(writer, plan.timing)
+        recorder = Recorder(
+            writer,
+            plan.timing,
+            _reported(options.without),
+            clock_needed='plant' not in options.without,
+        )
         stack.callback(recorder.destroy_node)
         members: Members = (
             ComposedNodes(plan, options) if options.composed else SeparateProcesses(plan, options)
@@ -371,6 +384,28 @@ def _layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, tuple[str, d
                 yield name, (node, {**mine, 'axes': [axis], **options.overrides.get(name, {})})
         else:
             yield node, (node, {**parameters, **options.overrides.get(node, {})})
+
+
+def _check_names(options: RosOptions) -> None:
+    """Refuse to leave out a node that this twin does not have."""
+    copleys = [f'copley_{axis}' for axis in AXES] if options.one_copley_per_axis else []
+    known = [*NODES, *copleys]
+    for name in options.without:
+        if name not in known:
+            hint = ' (with --copley-per-axis)' if name.startswith('copley_') else ''
+            raise UserError(
+                f'--without {name}: the twin has no such node{hint}; it has {", ".join(known)}'
+            )
+
+
+def _reported(without: Sequence[str]) -> dict[Topic, int]:
+    """Return the places of the report topics that this run's own nodes speak for."""
+    servo = 0 if 'pmac' in without else SERVO_STATE.all_places
+    amplifiers = 0 if 'copley' in without else AMPLIFIER_STATE.all_places
+    for axis, name in enumerate(AXES):
+        if f'copley_{name}' in without:
+            amplifiers &= ~(1 << axis)
+    return {SERVO_STATE: servo, AMPLIFIER_STATE: amplifiers}
 
 
 def _overrides(parameters: Mapping[str, Any], prefix: str = '') -> Iterator[RosParameter]:

@@ -8,6 +8,8 @@ have been given at every one of its ticks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS, SLOW_DIVIDER, Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
@@ -15,14 +17,21 @@ from waferbot_twin.recording.writer import RecordingWriter
 
 
 class TopicAccount:
-    """What has been recorded of one topic: the last tick of each place, and how many were due."""
+    """
+    What has been recorded of one topic: the last tick of each place, and how many were due.
 
-    def __init__(self, topic: Topic, timing: Timing) -> None:
+    `needed` is the mask of the places that must be there; `first_gap` the first tick at which one of
+    them was passed over, None if none was.
+    """
+
+    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
         """Begin with nothing recorded."""
         # The slow topic must have a message every so often and may have more.
         self.spacing = SLOW_DIVIDER if topic is AMPLIFIER_STATE else topic.ticks_between(timing)
+        self.needed = needed
         self.last = [-1] * len(topic.places)
         self.given = [0] * len(topic.places)
+        self.first_gap: int | None = None
 
     def is_new(self, tick: int, valid: int) -> bool:
         """Note a message; return False if all it says has been recorded before."""
@@ -30,29 +39,57 @@ class TopicAccount:
         new = False
         for place, last_tick in enumerate(self.last):
             if tick > last_tick and valid >> place & 1:
+                if tick - last_tick > self.spacing and self.needed >> place & 1:
+                    self._note_gap(self._due_behind(last_tick))
                 self.last[place] = tick
                 self.given[place] += due
                 new = True
         return new
 
+    def needed_places(self) -> list[int]:
+        """Return the indices of the places that must be there."""
+        return [place for place in range(len(self.last)) if self.needed >> place & 1]
+
+    def reached(self) -> list[int]:
+        """Return, for each needed place, the first tick that is still to come."""
+        return [self._due_behind(self.last[place]) for place in self.needed_places()]
+
+    def _due_behind(self, tick: int) -> int:
+        return (tick // self.spacing + 1) * self.spacing
+
+    def _note_gap(self, tick: int) -> None:
+        self.first_gap = tick if self.first_gap is None else min(tick, self.first_gap)
+
 
 class Account:
-    """What has been recorded of each contract topic, in `topics`."""
+    """
+    What has been recorded of each contract topic, in `topics`.
 
-    def __init__(self, timing: Timing) -> None:
+    `needed` maps a topic to the mask of the places that must be there; a topic that it does not name
+    must be there whole. (A node that somebody else provides need not report its inner state.)
+    """
+
+    def __init__(self, timing: Timing, needed: Mapping[Topic, int] | None = None) -> None:
         """Begin with nothing recorded."""
         self.timing = timing
-        self.topics = {topic: TopicAccount(topic, timing) for topic in CONTRACT_TOPICS}
+        masks = needed or {}
+        self.topics = {
+            topic: TopicAccount(topic, timing, masks.get(topic, topic.all_places))
+            for topic in CONTRACT_TOPICS
+        }
 
     def begun(self) -> bool:
-        """Tell whether every place of every topic has been given at least once."""
-        return all(tick >= 0 for topic in self.topics.values() for tick in topic.last)
+        """Tell whether every needed place of every topic has been given at least once."""
+        return all(
+            own.last[place] >= 0 for own in self.topics.values() for place in own.needed_places()
+        )
 
     def missing(self, ticks: int) -> dict[str, int]:
         """Return, per topic, how many messages of the run's `ticks` ticks lack (places counted)."""
         return {
             topic.name: sum(
-                self.timing.messages(ticks, own.spacing) - given for given in own.given
+                self.timing.messages(ticks, own.spacing) - own.given[place]
+                for place in own.needed_places()
             )
             for topic, own in self.topics.items()
         }
@@ -60,17 +97,18 @@ class Account:
     def expected(self, ticks: int) -> int:
         """Return how many places of messages a complete run of `ticks` ticks has."""
         return sum(
-            self.timing.messages(ticks, own.spacing) * len(own.last)
+            self.timing.messages(ticks, own.spacing) * len(own.needed_places())
             for own in self.topics.values()
         )
 
+    def reached(self) -> int:
+        """Return the first tick that is still to come on some topic, whatever lacks before it."""
+        return min(tick for own in self.topics.values() for tick in own.reached())
+
     def complete_until(self) -> int:
-        """Return the first tick at which something is missing, judging by the newest messages."""
-        return min(
-            own.spacing + tick if tick >= 0 else 0
-            for own in self.topics.values()
-            for tick in own.last
-        )
+        """Return the first tick at which something is missing."""
+        gaps = [own.first_gap for own in self.topics.values() if own.first_gap is not None]
+        return min([self.reached(), *gaps])
 
 
 def close_complete(writer: RecordingWriter, account: Account, ticks: int) -> str:

@@ -185,7 +185,7 @@ def _read_file(file: Path) -> _Content:
     channels: dict[int, list[bytes]] = {}
     with file.open('rb') as stream:
         try:
-            for record in StreamReader(stream).records:
+            for record in StreamReader(stream, validate_crcs=True).records:
                 if isinstance(record, Message):
                     channels[record.channel_id].append(record.data)
                 elif isinstance(record, Schema):

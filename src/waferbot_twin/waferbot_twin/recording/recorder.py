@@ -8,7 +8,7 @@ falls too far behind; that nothing was lost is not assumed all the same, but cou
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.clock import Clock as WallClock
@@ -45,10 +45,22 @@ class Recorder(Node):
     node that left the lock-step said.
     """
 
-    def __init__(self, writer: RecordingWriter | None, timing: Timing) -> None:
-        """Subscribe to everything; with no writer, only keep account."""
+    def __init__(
+        self,
+        writer: RecordingWriter | None,
+        timing: Timing,
+        needed: Mapping[Topic, int] | None = None,
+        clock_needed: bool = True,
+    ) -> None:
+        """
+        Subscribe to everything; with no writer, only keep account.
+
+        `needed` is that of `Account`; `clock_needed` says whether `/clock` and `joint_states` must be
+        there too.
+        """
         super().__init__('recorder')
-        self.account = Account(timing)
+        self.account = Account(timing, needed)
+        self._clock_needed = clock_needed
         self.tick = -1
         self.stop_reason = ''
         self.failure = ''
@@ -79,8 +91,9 @@ class Recorder(Node):
 
     @property
     def begun(self) -> bool:
-        """Whether every topic has been heard for every axis, so that nothing will be missed."""
-        return self.account.begun() and min(self._standard_stamps.values()) >= 0
+        """Whether all that is needed has been heard for every axis, so that nothing will be missed."""
+        standard_begun = not self._clock_needed or min(self._standard_stamps.values()) >= 0
+        return self.account.begun() and standard_begun
 
     def _record(
         self, name: str, type_name: str, message_type: Any, callback: Callable[[bytes], None]
@@ -124,7 +137,7 @@ class Recorder(Node):
 
     def _announce(self) -> None:
         """Tell the plant how far the recording has come."""
-        tick = self.account.complete_until()
+        tick = self.account.reached()
         message = waferbot_msgs.msg.Recorded(tick=tick)
         stamp_ns = self._timing.stamp_ns(tick)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)

@@ -36,7 +36,10 @@ def prepare_folder(path: Path, force: bool) -> None:
         if not (path / 'metadata.yaml').exists() and any(path.iterdir() if path.is_dir() else [1]):
             raise UserError(f'{path} is no recording; --force only replaces recordings')
         shutil.rmtree(path)
-    path.mkdir(parents=True)
+    try:
+        path.mkdir(parents=True)
+    except OSError as error:
+        raise UserError(f'--out {path} cannot be made: {error.strerror}') from error
 
 
 class RecordingWriter:
@@ -125,7 +128,7 @@ class RecordingWriter:
         traceback: TracebackType | None,
     ) -> None:
         """Close the file, whatever happened."""
-        self.close({'complete': 'false', 'reason': str(error) if error else 'not verified'})
+        self.close({'complete': 'false', 'reason': _reason(error)})
 
     def _information(self) -> dict[str, Any]:
         start = self._first_ns if self.message_count else 0
@@ -158,6 +161,13 @@ class RecordingWriter:
         temporary = self.path / 'metadata.yaml.new'
         temporary.write_text(text, 'utf-8')
         temporary.replace(self.path / 'metadata.yaml')
+
+
+def _reason(error: BaseException | None) -> str:
+    """Return why a recording was closed before its completeness was verified, as one line."""
+    if isinstance(error, KeyboardInterrupt):
+        return 'interrupted by the user'
+    return str(error) or repr(error) if error else 'not verified'
 
 
 def as_json(value: Any) -> str:

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Calibrate machine, tuning values and as-built machine to the tables of the thesis.
+
+Three searches, one after another, each started from the shipped values and repeatable: payload
+(Y-Linear and X-Rotate), y_rotate, and as_built against the measured columns with the shipped
+machine and gains. Prints every row with its distance from the thesis in tolerances and, with --out,
+writes:
+
+  calibrated.yaml        the values found
+  machine_overlay.yaml   what they set in the machine's description
+  pmac.yaml              the I-variables
+  as_built_overlay.yaml  the as-built machine's departures
+
+--quick searches for a few generations only; --evaluate not at all: it prints what the shipped
+values give.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import time
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.cli.console import (
+    new_table,
+    print_json,
+    progress_bar,
+    result_console,
+    say,
+    significant,
+)
+
+QUICK_GENERATIONS = 3
+STAGES = ('payload', 'y_rotate', 'as_built')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `waferbot calibrate`."""
+    parser.add_argument(
+        '--stage', action='append', choices=STAGES, help='only this one (may be given twice)'
+    )
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument('--quick', action='store_true', help='a few generations, about a minute')
+    how.add_argument('--evaluate', action='store_true', help='only evaluate the shipped values')
+    parser.add_argument('--out', type=Path, metavar='DIR', help='write the result to this folder')
+    parser.add_argument('--force', action='store_true', help='replace files in --out')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Search, print and write."""
+    from waferbot_twin.calibration import STAGES as KNOWN
+    from waferbot_twin.calibration import calibrated, search
+
+    if options.out and options.out.exists() and not options.force:
+        raise UserError(f'{options.out} exists; choose another folder or give --force')
+    generations = 0 if options.evaluate else QUICK_GENERATIONS if options.quick else None
+    values = calibrated()
+    as_built = calibrated('as_built')
+    result: dict[str, Any] = {}
+    for name in options.stage or STAGES:
+        stage = KNOWN[name]
+        begun_s = time.perf_counter()
+        start = as_built if name == 'as_built' else values
+        with progress_bar(f'calibrating {name}') as progress:
+            found = search(stage, start, generations, progress)
+        if name == 'as_built':
+            as_built = found
+        else:
+            values = found
+        evaluation = stage.evaluate(found)
+        result[name] = {
+            'cost': evaluation.cost,
+            'penalties': evaluation.penalties,
+            'values': {unknown.name: found[unknown.name] for unknown in stage.unknowns},
+            'rows': [
+                {**dataclasses.asdict(residual), 'tolerances': residual.tolerances}
+                for residual in evaluation.residuals
+            ],
+            'run_time_s': time.perf_counter() - begun_s,
+        }
+    if options.out:
+        _write(options.out, values, as_built)
+        say(f'written to {options.out}')
+    if options.json:
+        print_json(result)
+    else:
+        for name, stage_result in result.items():
+            _print(name, stage_result)
+    return 0
+
+
+def _print(name: str, result: dict[str, Any]) -> None:
+    print(f'{name}: cost {result["cost"]:.4g}, {result["run_time_s"]:.1f} s')
+    table = new_table('row', 'thesis', 'ours', 'difference %', 'tolerances')
+    for row in result['rows']:
+        difference = 100.0 * (row['ours'] - row['thesis']) / row['thesis']
+        table.add_row(
+            f'{row["axis"]}.{row["column"]}.{row["figure"]}',
+            significant(row['thesis']),
+            significant(row['ours']),
+            significant(difference, 3),
+            significant(row['tolerances'], 3),
+        )
+    result_console.print(table)
+    for condition, penalty in result['penalties'].items():
+        print(f'  {condition}: {"yes" if penalty == 0.0 else f"penalty {penalty:.3g}"}')
+    print()
+
+
+def _write(folder: Path, values: dict[str, float], as_built: dict[str, float]) -> None:
+    from waferbot_twin.calibration import (
+        STAGES as KNOWN,
+    )
+    from waferbot_twin.calibration import as_built_overlay, candidate, machine_overlay
+
+    stages = {
+        name: {
+            unknown.name: float(
+                f'{(as_built if name == "as_built" else values)[unknown.name]:.6g}'
+            )
+            for unknown in stage.unknowns
+        }
+        for name, stage in KNOWN.items()
+    }
+    contents = {
+        'calibrated.yaml': stages,
+        'machine_overlay.yaml': machine_overlay(values),
+        'pmac.yaml': {'/**/pmac': {'ros__parameters': candidate(values).variables}},
+        'as_built_overlay.yaml': as_built_overlay(as_built),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, content in contents.items():
+            (folder / file).write_text(yaml.safe_dump(content, sort_keys=False), 'utf-8')
+    except OSError as error:
+        raise UserError(f'{folder}: {error.strerror}') from error

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Figures of a recording: step response and following error of each axis.
+
+Delay, rise, peak, overshoot, peak time and settling (5 %) are those of chapter 4 of the thesis and
+count from the step. With --rise main-peak the rise ends at the arrival that leads to the highest
+peak, as in chapter 6 for Y-Linear.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from waferbot_twin.cli.console import new_table, print_json, result_console, significant
+from waferbot_twin.metrics import FIGURES, RISE_RULES, rms
+from waferbot_twin.recording.reader import read_recording
+from waferbot_twin.response import AxisResponse, axis_responses
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `waferbot metrics`."""
+    parser.add_argument(
+        'recording', type=Path, metavar='DIR', help='recording folder or .mcap file'
+    )
+    parser.add_argument('--rise', choices=RISE_RULES, default='first', help='default: first')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Read the recording and print its figures."""
+    responses = axis_responses(read_recording(options.recording))
+    result = {response.axis: figures(response, options.rise) for response in responses}
+    if options.json:
+        print_json(result)
+        return 0
+    table = new_table('figure', *(f'{axis} [{row["unit"]}]' for axis, row in result.items()))
+    names = {
+        'step': 'step',
+        **{key: f'{name.lower()}{_unit(key)}' for key, name in FIGURES.items()},
+        'rms_following_error': 'RMS following error',
+        'peak_following_error': 'peak following error',
+        'peak_current': 'peak current [A]',
+    }
+    for key, name in names.items():
+        table.add_row(name, *(significant(row.get(key)) for row in result.values()))
+    result_console.print(table)
+    return 0
+
+
+def figures(response: AxisResponse, rise: str) -> dict[str, Any]:
+    """Return the figures of one axis; those of a step only if there is one."""
+    metrics = response.metrics(rise)
+    return {
+        'unit': response.unit,
+        **(asdict(metrics) if metrics else {}),
+        'rms_following_error': rms(response.following_error),
+        'peak_following_error': float(np.max(np.abs(response.following_error))),
+        'peak_current': float(np.max(np.abs(response.current))),
+    }
+
+
+def _unit(figure: str) -> str:
+    return ' [s]' if figure.endswith('time') else ' [%]' if figure.endswith('percent') else ''

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every table of chapters 4 and 6 of the thesis beside this model, from runs made on the spot.
+
+Rows that are not met are marked with `no` and followed by the reason. With --html a page with the
+tables and the figures (position, following error, current, errors of the models) is written too.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from waferbot_twin.cli.console import (
+    new_table,
+    print_json,
+    progress_bar,
+    result_console,
+    say,
+    significant,
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `waferbot tables`."""
+    parser.add_argument('--html', type=Path, metavar='DIR', help='write a report to this folder')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Run the steps, make the tables, print them."""
+    from waferbot_twin.report import write_report
+    from waferbot_twin.tables import Runs, Table, all_tables
+
+    with progress_bar('steps of every model and axis') as progress:
+        runs = Runs(progress)
+    tables = all_tables(runs)
+    if options.html:
+        page = write_report(options.html, tables, runs, f'waferbot tables --html {options.html}')
+        say(f'report: {page}')
+    if options.json:
+        print_json([table.as_dict() for table in tables])
+        return 0
+
+    def show(table: Table) -> None:
+        columns = list(dict.fromkeys(key for row in table.rows for key in row.cells))
+        print(f'Table {table.number}. {table.title}')
+        printed = new_table('', *columns, 'met')
+        for row in table.rows:
+            cells = [row.cells.get(column) for column in columns]
+            texts = [cell if isinstance(cell, str) else significant(cell) for cell in cells]
+            printed.add_row(row.name, *texts, {None: '', True: 'yes', False: 'no'}[row.met])
+        result_console.print(printed)
+        for row in table.rows:
+            if row.note:
+                print(f'  {row.name}: {row.note}')
+        print()
+
+    for table in tables:
+        show(table)
+    missed = sum(row.met is False for table in tables for row in table.rows)
+    demanded = sum(row.met is not None for table in tables for row in table.rows)
+    print(f'{demanded - missed} of {demanded} rows met')
+    return 0

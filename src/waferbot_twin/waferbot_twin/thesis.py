@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the thesis printed, read from `thesis_tables.yaml`, and which of it this model does not meet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from waferbot_twin.metrics import FIGURES
+
+_TABLES = Path(__file__).with_name('thesis_tables.yaml')
+_DEVIATIONS = Path(__file__).with_name('known_deviations.yaml')
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """How far ours may be from the thesis: in percent of it, or in the figure's own unit."""
+
+    percent: float | None = None
+    points: float | None = None
+
+    def admits(self, thesis: float, ours: float) -> bool:
+        """Return whether `ours` is near enough; nothing that is not a number is."""
+        allowed = self.points if self.points is not None else abs(thesis) * self.percent / 100.0
+        return abs(ours - thesis) <= allowed
+
+
+def tolerance(column: str, figure: str) -> Tolerance:
+    """
+    Return the tolerance of a figure of a step in a column: rigid, flexible or measured.
+
+    5 % in the rigid columns (2 percentage points of overshoot), 10 % in the others.
+    """
+    if column == 'rigid':
+        return Tolerance(points=2.0) if figure == 'overshoot_percent' else Tolerance(percent=5.0)
+    return Tolerance(percent=10.0)
+
+
+@cache
+def thesis() -> dict[str, Any]:
+    """Return everything printed, as in the file."""
+    return yaml.safe_load(_TABLES.read_text('utf-8'))
+
+
+@cache
+def known_deviations() -> dict[str, dict[str, Any]]:
+    """
+    Return what this model is known not to meet: row (`axis.column.figure`) to why and how far.
+
+    `percent` is how far, `reason` why; the tests hold it to no more than that.
+    """
+    return yaml.safe_load(_DEVIATIONS.read_text('utf-8')) or {}
+
+
+def printed(axis: str, column: str, figure: str) -> float:
+    """
+    Return a figure of the thesis: corrected where it is a misprint.
+
+    The flexible column of the thesis rounds the peak to two digits; it is taken from the overshoot.
+    """
+    steps = thesis()['steps'][axis]
+    if column == 'flexible' and figure == 'peak':
+        return steps['step'] * (1.0 + steps[column]['overshoot_percent']['printed'] / 100.0)
+    entry = steps[column][figure]
+    return float(entry.get('corrected', entry['printed']))
+
+
+def rows() -> list[tuple[str, str, str]]:
+    """Return (axis, column, figure) of every figure of a step that the thesis prints."""
+    return [
+        (axis, column, figure)
+        for axis in thesis()['steps']
+        for column in ('rigid', 'flexible', 'measured')
+        for figure in FIGURES
+    ]

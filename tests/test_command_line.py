@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line as a user meets it."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import subprocess
+import sys
+
+import pytest
+from harness import PATIENCE_S, waferbot
+
+COMMANDS = ('run', 'replay', 'info', 'plot', 'demo')
+FAST = ('run', '--engine', 'inprocess', '--duration', '0.01')
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope='module')
+def short_run(tmp_path_factory):
+    out = tmp_path_factory.mktemp('command_line') / 'short'
+    result = waferbot('run', '--engine', 'inprocess', '--duration', '0.1', '--out', str(out))
+    assert result.returncode == 0, result.stderr
+    return out
+
+
+def test_help_names_every_command():
+    result = waferbot('--help')
+    assert result.returncode == 0
+    for command in COMMANDS:
+        assert command in result.stdout
+
+
+@pytest.mark.parametrize('command', COMMANDS)
+def test_each_command_has_help(command):
+    result = waferbot(command, '--help')
+    assert result.returncode == 0
+    assert 'usage: waferbot ' + command in result.stdout
+
+
+@pytest.mark.parametrize('engine', ['inprocess', 'composed'])
+def test_run_tells_its_result_as_json(engine):
+    result = waferbot('run', '--engine', engine, '--duration', '0.02', '--json')
+    assert result.returncode == 0, result.stderr
+    told = json.loads(result.stdout)
+    assert told['ticks'] == 360
+    assert told['engine'] == engine
+
+
+def test_info_replay_tell_their_result_as_json(short_run):
+    info = json.loads(waferbot('info', str(short_run), '--json').stdout)
+    assert info['closed'] is True
+    assert info['missing'] == 0
+    rates = {topic['name']: topic['rate_hz'] for topic in info['topics']}
+    assert rates['/phase_currents'] == pytest.approx(18000)
+    assert rates['/encoders'] == pytest.approx(9000)
+    assert rates['/servo_state'] == pytest.approx(2250)
+    replay = json.loads(waferbot('replay', str(short_run), '--node', 'pmac', '--json').stdout)
+    assert replay['identical'] is True
+
+
+def test_plot_draws_a_picture(short_run, tmp_path):
+    picture = tmp_path / 'picture.png'
+    result = waferbot('plot', str(short_run), '--out', str(picture))
+    assert result.returncode == 0, result.stderr
+    assert picture.read_bytes().startswith(b'\x89PNG')
+
+
+MISTAKES = {
+    'unknown model': ((*FAST, '--model', 'rigit'), "did you mean 'rigid'"),
+    'unknown experiment': ((*FAST, '--experiment', 'stepp'), 'stepp'),
+    'missing model file': ((*FAST, '--model', 'nowhere.yaml'), 'nowhere.yaml'),
+    'missing experiment file': ((*FAST, '--experiment', 'nowhere.yaml'), 'nowhere.yaml'),
+    'no recording': (('info', 'nowhere'), 'nowhere does not exist'),
+    'not a recording': (('info', '.'), 'holds no recording'),
+    'replay of nothing': (('replay', 'nowhere', '--node', 'pmac'), 'nowhere'),
+    'plot of nothing': (('plot', 'nowhere'), 'nowhere'),
+    'no time': (('run', '--duration', '0'), '--duration'),
+    'backwards': (('run', '--duration', '-1'), '--duration'),
+    'not a number': (('run', '--duration', 'nan'), '--duration'),
+    'domain out of range': (('run', '--domain', '999', '--duration', '0.01'), '232'),
+    'domain of the environment': (('run', '--duration', '0.01'), 'ROS_DOMAIN_ID'),
+    'unknown node': (
+        ('run', '--engine', 'composed', '--without', 'pmak', '--duration', '0.01'),
+        'pmak',
+    ),
+}
+
+
+@pytest.mark.parametrize('mistake', MISTAKES)
+def test_a_mistake_is_told_in_one_line(mistake, tmp_path, monkeypatch):
+    arguments, hint = MISTAKES[mistake]
+    monkeypatch.chdir(tmp_path)
+    environment = {'ROS_DOMAIN_ID': 'many'} if 'environment' in mistake else {}
+    result = waferbot(*arguments, **environment)
+    assert result.returncode == 1, result.stdout
+    assert result.stderr.startswith('waferbot: error: ')
+    assert result.stderr.count('\n') == 1, result.stderr
+    assert hint in result.stderr
+
+
+def test_a_model_with_a_value_out_of_range_names_the_range(tmp_path):
+    model = tmp_path / 'bad.yaml'
+    model.write_text('/**/pmac: {ros__parameters: {y_linear: {Ixx69: 99999}}}\n')
+    result = waferbot(*FAST, '--model', str(model))
+    assert result.returncode == 1
+    assert result.stderr.startswith('waferbot: error: ')
+    assert '32767' in result.stderr
+
+
+@pytest.mark.parametrize('arguments', [('run', '--speed', '2'), ('fly',), ()])
+def test_an_unknown_option_or_command_is_refused_without_traceback(arguments):
+    result = waferbot(*arguments)
+    assert result.returncode != 0
+    assert 'Traceback' not in result.stderr
+    assert 'usage: waferbot' in result.stderr
+
+
+def on_terminal(*arguments):
+    """Run a command with standard error on a terminal; return exit code and what it drew."""
+    leader, follower = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'waferbot_twin', *arguments],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=follower,
+        env={**os.environ, 'TERM': 'xterm', 'COLUMNS': '80'},
+    )
+    os.close(follower)
+    drawn = b''
+    while True:
+        try:
+            data = os.read(leader, 4096)
+        except OSError:  # Linux: the other side is closed
+            break
+        if not data:
+            break
+        drawn += data
+    os.close(leader)
+    return process.wait(PATIENCE_S), drawn.decode('utf-8', 'replace')
+
+
+def test_a_progress_bar_is_drawn_on_a_terminal_only():
+    # With start-up this takes longer than the two seconds after which a bar appears.
+    arguments = ('run', '--engine', 'composed', '--duration', '2', '--experiment', 'constant')
+    code, drawn = on_terminal(*arguments)
+    assert code == 0
+    assert 'constant on rigid' in drawn
+    assert '%' in drawn
+    piped = waferbot(*arguments)
+    assert '%' not in piped.stderr
+    assert '\x1b' not in piped.stderr + piped.stdout
+
+
+def test_output_into_a_closed_pipe_is_no_error(short_run):
+    command = f'{sys.executable} -m waferbot_twin info {short_run} | head -n 1'
+    result = subprocess.run(
+        ['bash', '-o', 'pipefail', '-c', command],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert 'Traceback' not in result.stderr

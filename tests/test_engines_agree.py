@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The promise that holds the architecture together: every engine gives the same bits."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+from harness import run_engine
+from mcap.stream_reader import StreamReader
+
+from waferbot_lockstep.timing import Timing
+from waferbot_twin.models import model_names
+from waferbot_twin.recording.compare import differing_signals
+from waferbot_twin.recording.reader import recording_file
+
+
+def standard_messages(recording):
+    """Return the bytes of all /clock and /joint_states messages, in order."""
+    names, found = {}, {'/clock': [], '/joint_states': []}
+    with recording_file(recording.path).open('rb') as stream:
+        for record in StreamReader(stream).records:
+            if type(record).__name__ == 'Channel':
+                names[record.id] = record.topic
+            elif type(record).__name__ == 'Message' and names[record.channel_id] in found:
+                found[names[record.channel_id]].append((record.log_time, bytes(record.data)))
+    return found
+
+
+def shipped_experiments():
+    from importlib.resources import files
+
+    folder = files('waferbot_pmac') / 'experiments'
+    return sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith('.yaml'))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('engine', ['ros', 'composed'])
+def test_step_over_ros_is_bit_identical_to_the_loop_without_ros(recorded, engine):
+    one, other = recorded(engine), recorded('inprocess')
+    assert len(one['phase_currents']) == 9000
+    assert differing_signals(one, other) == []
+    assert one.counts == other.counts
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('engine', ['ros', 'composed'])
+def test_clock_and_joint_states_are_the_same_bytes(recorded, engine):
+    one, other = standard_messages(recorded(engine)), standard_messages(recorded('inprocess'))
+    assert len(one['/clock']) == len(one['/joint_states']) == 50
+    assert one == other
+
+
+@pytest.mark.slow
+def test_step_moves_every_axis(recorded):
+    counts = recorded('inprocess')['encoders']['counts']
+    moved = abs(counts - counts[0]).max(axis=0)
+    assert (moved > 700).all()
+
+
+@pytest.mark.slow
+def test_second_run_with_shuffled_start_order_is_bit_identical(recorded, tmp_path):
+    seed = random.randrange(2**32)
+    print(f'seed {seed}')
+    order = ['plant', 'pmac', 'copley']
+    random.Random(seed).shuffle(order)
+    second = run_engine('ros', tmp_path / 'second', start_order=order)
+    assert differing_signals(recorded('ros'), second) == []
+
+
+@pytest.mark.slow
+def test_one_copley_node_per_axis_is_bit_identical(recorded, tmp_path):
+    seed = random.randrange(2**32)
+    print(f'seed {seed}')
+    order = ['plant', 'pmac', 'copley_y_linear', 'copley_x_rotate', 'copley_y_rotate']
+    random.Random(seed).shuffle(order)
+    split = run_engine('ros', tmp_path / 'split', one_copley_per_axis=True, start_order=order)
+    assert split.counts['/phase_voltages'] == 3 * 9000
+    assert differing_signals(recorded('ros'), split) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('experiment', shipped_experiments())
+def test_every_shipped_experiment_is_the_same_composed(tmp_path, experiment):
+    runs = [
+        run_engine(engine, tmp_path / engine, experiment, duration_s=0.05)
+        for engine in ('composed', 'inprocess')
+    ]
+    assert len(runs[0]['phase_voltages']) == Timing().ticks(0.05)
+    assert differing_signals(*runs) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('model', model_names())
+def test_every_shipped_model_is_the_same_composed(tmp_path, model):
+    runs = [
+        run_engine(engine, tmp_path / engine, model=model, duration_s=0.04)
+        for engine in ('composed', 'inprocess')
+    ]
+    assert differing_signals(*runs) == []
+
+
+@pytest.mark.slow
+def test_a_difference_is_found(recorded, tmp_path):
+    other = run_engine('inprocess', tmp_path / 'other', 'constant')
+    assert 'current_command.current' in differing_signals(recorded('inprocess'), other)

@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever goes wrong is said, nothing hangs, and nothing goes on with stale data."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import time
+
+import numpy as np
+import pytest
+from harness import (
+    PATIENCE_S,
+    children_of,
+    command_line,
+    domain_of,
+    run_engine,
+    start_node,
+    waferbot,
+    wait_until,
+)
+from rclpy.qos import QoSProfile
+from std_srvs.srv import SetBool
+
+import waferbot_msgs.msg
+from waferbot_lockstep.contract import LOCKSTEP_TOPICS
+from waferbot_lockstep.timing import Timing
+from waferbot_twin.recording.reader import read_recording
+
+STOP_WITHIN_S = 5.0
+
+pytestmark = pytest.mark.slow
+
+
+def long_run(start, out, *arguments):
+    """Start a run far longer than any test, and wait until it records."""
+    run = ['run', '--experiment', 'constant', '--duration', '1000', '--out', str(out), *arguments]
+    program = start('waferbot_twin', *run)
+
+    def bytes_recorded():
+        return sum(file.stat().st_size for file in out.glob('*.mcap'))
+
+    if '--engine' not in arguments:
+        program.find_children(5 if '--copley-per-axis' in arguments else 3)
+    wait_until(lambda: bytes_recorded() > 60_000, 'ticks recorded', program)
+    return program
+
+
+def alive(pid):
+    return bool(command_line(pid))
+
+
+def wait_until_gone(pids, timeout_s=STOP_WITHIN_S):
+    deadline_s = time.monotonic() + timeout_s
+    while any(map(alive, pids)):
+        assert time.monotonic() < deadline_s, [command_line(pid) for pid in pids if alive(pid)]
+        time.sleep(0.02)
+
+
+def check_readable(out):
+    """Check that a recording is readable and has every tick up to its last one."""
+    recording = read_recording(out)
+    ticks = recording['phase_currents']['tick']
+    assert len(ticks) > 100
+    np.testing.assert_array_equal(ticks, np.arange(len(ticks)))
+    assert json.loads(waferbot('info', str(out), '--json').stdout)['ticks'] >= len(ticks)
+    return recording
+
+
+# ---- a node is killed ----------------------------------------------------------------------------
+
+MISSED = {
+    'plant': ('plant', r'(encoders|phase_currents)'),
+    'pmac': ('pmac', 'current_command'),
+    'copley': ('copley', 'phase_voltages'),
+    'copley_x_rotate': ('copley', r'phase_voltages \(x_rotate\)'),
+}
+
+
+@pytest.mark.parametrize('victim', MISSED)
+def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path, victim):
+    out = tmp_path / 'run'
+    split = ['--copley-per-axis'] if victim.startswith('copley_') else []
+    program = long_run(start, out, *split)
+    nodes = dict(program.children)
+    os.kill(nodes[victim], signal.SIGKILL)
+    wait_until_gone(nodes.values())
+    assert program.wait(30) == 1
+    peer, topic = MISSED[victim]
+    assert re.search(
+        rf'waferbot: error: .*{peer} is gone: topic {topic}.* tick \d+ never came', program.output
+    ), program.output
+    recording = check_readable(out)
+    assert recording.closed
+    assert recording.summary['complete'] == 'false'
+    assert 'is gone' in recording.summary['reason']
+
+
+def test_nodes_started_by_hand_end_with_an_error_when_a_peer_is_killed(start, domain):
+    nodes = {name: start_node(start, name, domain) for name in ('plant', 'pmac', 'copley')}
+    subscription_seen(nodes, domain)
+    nodes['plant'].signal(signal.SIGKILL)
+    began_s = time.monotonic()
+    for name in ('pmac', 'copley'):
+        assert nodes[name].wait(30) == 1, nodes[name].output
+        assert re.search(r'plant is gone: topic \w+ .*tick \d+ never came', nodes[name].output)
+    assert time.monotonic() - began_s < STOP_WITHIN_S
+
+
+def subscription_seen(nodes, domain):
+    """Wait until time goes on, as a client sees it."""
+    from harness import Client
+
+    client = Client(domain)
+    heard = []
+    client.node.create_subscription(waferbot_msgs.msg.Encoders, 'encoders', heard.append, 10)
+    client.spin_until(lambda: heard and heard[-1].tick > 200, 'ticks')
+    client.end()
+
+
+# ---- messages that do not fit --------------------------------------------------------------------
+
+
+def message_of(topic, seen, **changes):
+    """Return a message like `seen`, with other fields and the stamp of its tick."""
+    kind = getattr(waferbot_msgs.msg, topic.message)
+    fields = {name: getattr(seen, name) for name in kind.get_fields_and_field_types()}
+    fields.update(changes)
+    header = fields.pop('header')
+    message = kind(**fields)
+    stamp_ns = changes.get('stamp_ns', Timing().stamp_ns(message.tick))
+    message.header.frame_id = header.frame_id
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+    return message
+
+
+def field_of(topic):
+    return {'Encoders': 'counts', 'PhaseVoltages': 'voltage'}.get(topic.message, 'current')
+
+
+def injected(topic, kind, seen):
+    """Return the rogue message of a kind, made from the newest one seen on the topic."""
+    spacing = topic.ticks_between(Timing())
+    name = field_of(topic)
+    values = list(getattr(seen, name))
+    if kind == 'duplicate':
+        return message_of(topic, seen)
+    if kind == 'reordered':
+        return message_of(topic, seen, tick=seen.tick - spacing, **{name: values[::-1]})
+    if kind == 'stale':
+        return message_of(topic, seen, tick=seen.tick - 50 * spacing)
+    if kind == 'future':
+        return message_of(topic, seen, tick=seen.tick + 50 * spacing)
+    if kind == 'wrong axis':
+        return message_of(topic, seen, valid=0x80)
+    if kind == 'no axis':
+        return message_of(topic, seen, valid=0)
+    if kind == 'second voice':
+        values[0] += 1
+        return message_of(topic, seen, **{name: values})
+    if kind == 'wrong stamp':
+        message = message_of(topic, seen)
+        message.header.stamp.nanosec += 1
+        return message
+    number = {'NaN': math.nan, 'infinite': math.inf}[kind]
+    values[-1] = number
+    return message_of(topic, seen, tick=seen.tick + spacing, **{name: values})
+
+
+KINDS = (
+    'duplicate', 'reordered', 'stale', 'future', 'wrong axis', 'no axis', 'second voice',
+    'wrong stamp', 'NaN', 'infinite',
+)  # fmt: skip
+CASES = [
+    (topic, kind)
+    for topic in LOCKSTEP_TOPICS
+    for kind in KINDS
+    if not (topic.message == 'Encoders' and ('infinite' in kind or kind == 'NaN'))
+]
+
+
+class ComposedTwin:
+    """The three nodes of the twin and a rogue with a publisher on one topic, in one process."""
+
+    def __init__(self, topic):
+        import rclpy
+        from rclpy.node import Node
+
+        from waferbot_copley.node import CopleyNode
+        from waferbot_lockstep.node import make_executor
+        from waferbot_plant.node import PlantNode
+        from waferbot_pmac.node import PmacNode
+        from waferbot_twin.engines.ros import _overrides
+        from waferbot_twin.models import load_model
+
+        rclpy.init()
+        model = load_model('rigid')
+        self.nodes = [
+            kind(parameter_overrides=list(_overrides(model.parameters[name])))
+            for name, kind in (('plant', PlantNode), ('pmac', PmacNode), ('copley', CopleyNode))
+        ]
+        self.rogue = Node('rogue')
+        self.seen = []
+        kind = getattr(waferbot_msgs.msg, topic.message)
+        qos = QoSProfile(depth=64)
+        self.rogue.create_subscription(kind, topic.name, self.seen.append, qos)
+        self.publisher = self.rogue.create_publisher(kind, topic.name, qos)
+        self.pause = self.rogue.create_client(SetBool, 'plant/pause')
+        self.executor = make_executor()
+        for node in (*self.nodes, self.rogue):
+            self.executor.add_node(node)
+        for node in self.nodes:
+            node.begin()
+
+    def spin_until(self, done, what, timeout_s=30.0):
+        deadline_s = time.monotonic() + timeout_s
+        while not done():
+            assert time.monotonic() < deadline_s, what
+            self.executor.spin_once(timeout_sec=0.05)
+
+    def set_paused(self, paused):
+        self.spin_until(self.pause.service_is_ready, 'pause service')
+        future = self.pause.call_async(SetBool.Request(data=paused))
+        self.spin_until(future.done, 'pause')
+
+    @property
+    def outcomes(self):
+        return {node.get_name(): node.outcome for node in self.nodes}
+
+    def end(self):
+        import rclpy
+
+        for node in (*self.nodes, self.rogue):
+            self.executor.remove_node(node)
+        self.executor.shutdown(0.0)
+        for node in self.nodes:
+            node.interrupt()
+        for node in (*self.nodes, self.rogue):
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.fixture
+def environment(domain, monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+
+@pytest.mark.parametrize(
+    ('topic', 'kind'), CASES, ids=[f'{topic.name}-{kind}' for topic, kind in CASES]
+)
+def test_a_message_that_does_not_fit_is_refused_with_peer_topic_and_tick(environment, topic, kind):
+    twin = ComposedTwin(topic)
+    try:
+        twin.spin_until(
+            lambda: (
+                twin.publisher.get_subscription_count() >= 2
+                and twin.seen
+                and twin.seen[-1].tick > 800
+            ),
+            'ticks',
+        )
+        # While time stands, everybody has the same tick in hand: it is certain what is injected.
+        twin.set_paused(True)
+        settled = len(twin.seen) + 4
+        twin.spin_until(lambda: len(twin.seen) >= settled, 'signs of life')
+        newest = twin.seen[-1]
+        twin.publisher.publish(injected(topic, kind, newest))
+        if kind == 'duplicate':
+            twin.set_paused(False)
+            twin.spin_until(lambda: twin.seen[-1].tick > newest.tick + 400, 'time going on')
+            assert set(twin.outcomes.values()) == {None}
+            return
+        twin.spin_until(lambda: None not in twin.outcomes.values(), 'all stopped', STOP_WITHIN_S)
+        for reason in twin.outcomes.values():
+            assert f'topic {topic.name}, tick ' in reason
+            assert f'from {topic.publisher}' in reason
+    finally:
+        twin.end()
+
+
+@pytest.mark.parametrize(
+    ('topic', 'kind'), [(LOCKSTEP_TOPICS[3], 'NaN'), (LOCKSTEP_TOPICS[0], 'stale')]
+)
+def test_a_rogue_process_ends_a_run_of_separate_processes(start, connect, tmp_path, topic, kind):
+    program = long_run(start, tmp_path / 'run')
+    client = connect(domain_of(program))
+    seen = []
+    message_type = getattr(waferbot_msgs.msg, topic.message)
+    client.node.create_subscription(message_type, topic.name, seen.append, 50)
+    publisher = client.node.create_publisher(message_type, topic.name, 50)
+    client.spin_until(
+        lambda: seen and seen[-1].tick > 500 and publisher.get_subscription_count() >= 2, 'ticks'
+    )
+    # A message may be lost while the two are still finding each other, so it is sent again.
+    deadline_s = time.monotonic() + 30
+    while program.process.poll() is None and time.monotonic() < deadline_s:
+        newest = max(seen, key=lambda message: message.tick)  # it hears itself, too
+        publisher.publish(injected(topic, kind, newest))
+        client.executor.spin_once(timeout_sec=0.1)
+    assert program.wait(1) == 1
+    assert re.search(
+        rf'waferbot: error: .*topic {topic.name}, tick \d+.* from {topic.publisher}',
+        program.output,
+    )
+    wait_until_gone(program.children.values())
+    check_readable(tmp_path / 'run')
+
+
+# ---- the end asked for ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_run_ends_cleanly(start, tmp_path, number):
+    out = tmp_path / 'run'
+    program = long_run(start, out)
+    program.signal(number)
+    assert program.wait(20) == 130
+    wait_until_gone(program.children.values(), 0.5)
+    assert 'Traceback' not in program.output
+    assert program.output.rstrip().endswith('waferbot: interrupted')
+    recording = check_readable(out)
+    assert recording.closed
+    assert recording.summary['reason'] == 'interrupted by the user'
+
+
+@pytest.mark.parametrize('engine', ['composed', 'inprocess'])
+def test_an_interrupted_run_of_one_process_ends_cleanly(start, tmp_path, engine):
+    program = long_run(start, tmp_path / 'run', '--engine', engine)
+    program.signal(signal.SIGINT)
+    assert program.wait(20) == 130
+    assert 'Traceback' not in program.output
+    assert check_readable(tmp_path / 'run').closed
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_node_ends_the_others_without_error(start, domain, number):
+    nodes = {name: start_node(start, name, domain) for name in ('plant', 'pmac', 'copley')}
+    subscription_seen(nodes, domain)
+    nodes['pmac'].signal(number)
+    for program in nodes.values():
+        assert program.wait(20) == 0, program.output
+        assert 'Traceback' not in program.output
+
+
+def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, recorded, tmp_path):
+    program = long_run(start, tmp_path / 'killed')
+    program.signal(signal.SIGKILL)
+    program.wait()
+    wait_until_gone(program.children.values())
+    assert not read_recording(tmp_path / 'killed').closed
+    # Its shared memory lies about now, and its domain is free again.
+    after = run_engine('ros', tmp_path / 'after', duration_s=0.05)
+    whole = recorded('inprocess')
+    for name, array in after.topics.items():
+        np.testing.assert_array_equal(array, whole[name][: len(array)])
+
+
+def test_a_node_that_cannot_start_ends_the_run_with_its_reason(start, tmp_path):
+    model = tmp_path / 'bad.yaml'
+    model.write_text('/**/copley: {ros__parameters: {x_rotate: {bus_voltage: -1.0}}}\n')
+    program = start('waferbot_twin', 'run', '--model', str(model), '--duration', '0.1')
+    assert program.wait(60) == 1
+    assert 'Traceback' not in program.output
+    assert 'bus_voltage' in program.output
+    assert children_of(program.process.pid) == []
+
+
+def test_a_run_without_a_peer_gives_up_with_its_name(start, domain):
+    node = start_node(start, 'copley', domain, 'startup_timeout_s:=1.5')
+    assert node.wait(PATIENCE_S) == 1
+    assert re.search(r'plant \(phase_currents: .*did not appear within 1.5 s, tick 0', node.output)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Twins on one machine do not hear each other, and nobody else hears them unless asked."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import domain_of, waferbot, wait_until
+
+from waferbot_twin.engines.domain import Domain
+from waferbot_twin.recording.compare import differing_signals
+from waferbot_twin.recording.reader import read_recording
+
+pytestmark = pytest.mark.slow
+
+
+def test_two_twins_at_once_do_not_disturb_each_other(start, recorded, tmp_path):
+    programs = [
+        start('waferbot_twin', 'run', '--duration', '0.2', '--out', str(tmp_path / name))
+        for name in ('one', 'other')
+    ]
+    assert domain_of(programs[0]) != domain_of(programs[1])
+    for program in programs:
+        assert program.wait() == 0, program.output
+    one, other = (read_recording(tmp_path / name) for name in ('one', 'other'))
+    assert differing_signals(one, other) == []
+    alone = recorded('inprocess')
+    for name, array in one.topics.items():
+        np.testing.assert_array_equal(array, alone[name][: len(array)])
+
+
+def test_a_domain_in_use_is_refused_with_what_to_do():
+    taken = Domain()
+    try:
+        by_option = waferbot('run', '--domain', str(taken.number), '--duration', '0.01')
+        by_environment = waferbot('run', '--duration', '0.01', ROS_DOMAIN_ID=str(taken.number))
+    finally:
+        taken.release()
+    for result in (by_option, by_environment):
+        assert result.returncode == 1
+        assert f'ROS domain {taken.number} is in use by another twin' in result.stderr
+        assert result.stderr.count('\n') == 1
+
+
+def test_a_domain_asked_for_is_taken_and_free_again_afterwards():
+    free = Domain()
+    number = free.number
+    free.release()
+    for _ in range(2):
+        result = waferbot(
+            'run', '--engine', 'composed', '--domain', str(number), '--duration', '0.01'
+        )
+        assert result.returncode == 0, result.stderr
+        assert f'ROS_DOMAIN_ID={number}' in result.stderr
+
+
+def udp_sockets_of(pid):
+    """Return the local addresses of a process's UDP sockets."""
+    inodes = set()
+    for link in (Path('/proc') / str(pid) / 'fd').iterdir():
+        try:
+            target = os.readlink(link)
+        except OSError:
+            continue
+        if target.startswith('socket:['):
+            inodes.add(target[8:-1])
+    found = []
+    for line in (Path('/proc') / str(pid) / 'net' / 'udp').read_text().splitlines()[1:]:
+        fields = line.split()
+        if fields[9] in inodes:
+            address, port = fields[1].split(':')
+            found.append((socket.inet_ntoa(struct.pack('<I', int(address, 16))), int(port, 16)))
+    return found
+
+
+def environment_of(pid):
+    data = (Path('/proc') / str(pid) / 'environ').read_bytes().decode()
+    return dict(entry.split('=', 1) for entry in data.split('\0') if '=' in entry)
+
+
+@pytest.mark.parametrize(('option', 'expected'), [([], 'LOCALHOST'), (['--any-host'], 'SUBNET')])
+def test_discovery_stays_on_localhost_unless_asked(start, option, expected):
+    program = start('waferbot_twin', 'run', '--duration', '1000', *option)
+    nodes = program.find_children(3)
+    domain = domain_of(program)
+    for pid in nodes.values():
+        environment = environment_of(pid)
+        assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == expected
+        assert environment['ROS_DOMAIN_ID'] == str(domain)
+
+
+@pytest.mark.parametrize('asked', [{}, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}])
+def test_a_node_started_by_hand_announces_itself_on_localhost_only(start, domain, asked):
+    """Discovery over the network listens on the domain's multicast port; on localhost nobody does."""
+    node = start('waferbot_pmac.node', ROS_DOMAIN_ID=str(domain), **asked)
+    multicast = 7400 + 250 * domain  # RTPS: port base and domain gain
+
+    def ports():
+        return {port for _, port in udp_sockets_of(node.process.pid)}
+
+    wait_until(lambda: ports() & set(range(multicast + 10, multicast + 250)), 'unicast port', node)
+    assert (multicast in ports()) == bool(asked)
