@@ -32,6 +32,8 @@ $(VENV)/.installed: $(wildcard requirements/*.txt)
 	touch $@
 
 install/.built: $(VENV)/.installed $(MESSAGES) $(PACKAGE_FILES) $(SHARED_FILES)
+	@# links to files that are no more would stop colcon
+	@find build install -xtype l -delete 2>/dev/null || true
 	$(CLEAN_ENVIRONMENT) PATH="$(VENV)/bin:$$PATH" AMENT_PREFIX_PATH=$(VENV) CMAKE_PREFIX_PATH=$(VENV) \
 	  $(VENV)/bin/colcon build --merge-install --symlink-install --base-paths src \
 	  --event-handlers status- 2> >(grep -v "doesn't contain any 'local_setup" >&2)

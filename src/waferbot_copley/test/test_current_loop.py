@@ -283,7 +283,7 @@ def test_loop_that_knows_the_resistance_takes_over_a_current_without_a_bump(
         )
         for known in (True, False)
     }
-    angle, current = 0.7, 8.0
+    angle, current = 2.0 * math.pi * 0.111, 8.0  # a whole number of the stand's counts
     lines = current * (stands[True].phasing(angle))
     bumps = {}
     for known, stand in stands.items():

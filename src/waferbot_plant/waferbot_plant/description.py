@@ -38,10 +38,11 @@ from typing import Any
 
 import jsonschema
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, read
+from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import part_library
 from waferbot_plant.part_library import Carried
@@ -263,21 +264,37 @@ class Description:
     provenance: Mapping[str, str]
 
 
+def whole_text(source: Path | str) -> str:
+    """Return a description, given as for `load_description`, as the text of one YAML file."""
+    return yaml.safe_dump(_read_whole(source).data, sort_keys=False)
+
+
+def _read_whole(source: Path | str) -> Document:
+    """Read a file with all that it extends, or the text of one that extends nothing."""
+    if isinstance(source, Path):
+        return _read_chain(source, ())
+    document = parse(source, 'description')
+    if not isinstance(document.data, dict):
+        raise UserError('description: must be a mapping')
+    if 'extends' in document.data:
+        raise document.error(('extends',), 'a description given as text must be whole')
+    return document
+
+
 def load_description(
-    path: Path,
+    source: Path | str,
     switches: Mapping[str, str] | str | None = None,
     damping: str = 'improved',
     overlays: tuple[Document, ...] = (),
 ) -> Description:
     """
-    Read and check a description.
+    Read and check a description: a file, or the text of one.
 
-    `switches` sets the
-    state of connections, by name or for all at once; `damping` picks between two-valued
-    quantities; `overlays` are laid over the file in turn. Raises `UserError` naming file, line and
-    key.
+    `switches` sets the state of connections, by name or for all at once; `damping` picks between
+    two-valued quantities; `overlays` are laid over the file in turn. Raises `UserError` naming file,
+    line and key.
     """
-    document = _read_chain(path, ())
+    document = _read_whole(source)
     for overlay in overlays:
         merge(document, overlay)
     _switch(document, switches)
@@ -648,11 +665,11 @@ class _Reader:
         beyond = {joint.child}
         for _ in self.joints:
             beyond |= {other.child for other in self.joints.values() if other.parent in beyond}
-        bodies = [self.bodies[name] for name in beyond]
+        # In the order of the description: the order of a sum decides its last bit.
+        bodies = [body for name, body in self.bodies.items() if name in beyond]
         mass = sum(body.mass for body in bodies)
         moment = np.zeros(3)
-        for name in sorted(beyond):
-            body = self.bodies[name]
+        for body in bodies:
             moment += body.mass * (body.centre_of_gravity - joint.at)
         return Carried(mass, float(moment[0] / mass), float(moment[2] / mass))
 

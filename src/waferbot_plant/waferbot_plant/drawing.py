@@ -291,7 +291,7 @@ class _Plan:
             colour = _COLOURS[(number - 1) % len(_COLOURS)] if name != BASE else '#000000'
             if name != BASE:
                 colour = _COLOURS[list(description.bodies).index(name) % len(_COLOURS)]
-            text = name if name == BASE else f'{name}  {description.bodies[name].mass:g} kg'
+            text = name if name == BASE else f'{name}  {description.bodies[name].mass:.4g} kg'
             panel.add_patch(
                 FancyBboxPatch(
                     (x - 1.0, y - 1.2), 1.1 * len(text) + 3.0, 1.3,

@@ -397,6 +397,12 @@ def find_description(name_or_path: str | Path) -> Path:
     return known[str(name_or_path)]
 
 
+def description_source(name_or_path: str | Path) -> Path | str:
+    """Return the file of a description, or the description itself if it is given as text."""
+    text = str(name_or_path)
+    return text if '\n' in text else find_description(name_or_path)
+
+
 def load_machine(
     name_or_path: str | Path = 'flexible',
     switches: Mapping[str, str] | str | None = None,
@@ -406,6 +412,8 @@ def load_machine(
 ) -> Machine:
     """
     Load a machine by the name of a description that comes with the package, or by its path.
+
+    Text with line breaks is taken as the description itself, as a recording holds it.
 
     `timing` gives the length of a tick and how many lie between two readings of the encoders.
     `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
@@ -418,6 +426,6 @@ def load_machine(
         else read(Path(overlay))
         for overlay in overlays
     )
-    path = find_description(name_or_path)
-    description = load_description(path, switches, damping, documents)
+    source = description_source(name_or_path)
+    description = load_description(source, switches, damping, documents)
     return Machine(description, assemble(description), timing or Timing())

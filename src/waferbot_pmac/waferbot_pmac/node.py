@@ -53,11 +53,17 @@ class Motion:
         self.start = start
         self.first_cycle = first_cycle
         self.peak_following_error = np.zeros(len(AXES))
+        moving = np.flatnonzero(np.any(positions != positions[-1], axis=1))
+        self._last_change = int(moving[-1]) + 1 if len(moving) else 0
 
     def commanded(self, cycle: int) -> np.ndarray:
         """Return the commanded positions in counts; behind the end, the last ones."""
         place = min(cycle - self.first_cycle, len(self.positions) - 1)
         return self.start + self.positions[place]
+
+    def at_rest(self, cycle: int) -> bool:
+        """Tell whether the commanded positions stay as they are from `cycle` on."""
+        return cycle - self.first_cycle >= self._last_change
 
     def over(self, cycle: int) -> bool:
         """Tell whether `cycle` is the last of the experiment, or behind it."""
@@ -161,8 +167,8 @@ class PmacNode(LockstepNode):
     async def _execute(self, goal: Any) -> Any:
         result = RunExperiment.Result()
         try:
-            if not self._motion.over(self._cycle):
-                raise UserError('another experiment is still running; wait for its end')
+            if not self._motion.at_rest(self._cycle):
+                raise UserError('another experiment still moves the axes; wait for its end')
             self._motion = self._load(
                 goal.request.experiment, self._motion.commanded(self._cycle).copy()
             )

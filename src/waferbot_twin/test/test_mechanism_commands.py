@@ -134,4 +134,4 @@ def test_verify_fails_loudly(capsys, monkeypatch: pytest.MonkeyPatch, worst: flo
     assert main(['verify']) == 1
     printed = capsys.readouterr().out
     assert printed.count('FAILED') == 1
-    assert '1 of 8 checks failed' in printed
+    assert '1 of 11 checks failed' in printed

@@ -58,7 +58,11 @@ bodies:
   cart: {mass_kg: 5, centre_of_gravity_m: [0, 0, 0], inertia_kg_m2: {xx: 0.1, yy: 0.1, zz: 0.1}}
   bob: {mass_kg: 1, centre_of_gravity_m: [0, -0.3, 0], inertia_kg_m2: {xx: 0.01, yy: 0.01, zz: 0.01}}
 joints:
-  rail: {parent: base, child: cart, at_m: [0, 0, 0], freedoms: {travel: {type: prismatic, axis: [1, 0, 0]}}}
+  rail:
+    parent: base
+    child: cart
+    at_m: [0, 0, 0]
+    freedoms: {travel: {type: prismatic, axis: [1, 0, 0]}}
   pin: {parent: cart, child: bob, at_m: [0, 0, 0], freedoms: {swing: {type: revolute, axis: [0, 0, 1]}}}
 axes: {y_linear: travel}
 """

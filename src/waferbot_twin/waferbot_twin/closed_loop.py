@@ -30,7 +30,7 @@ from waferbot_plant.plant import Machine, mass_matrix
 Matrix = NDArray[np.float64]
 
 CURRENT_LOOP_HZ = 1500.0
-"""Bandwidth of the amplifiers' current loops as their gains are set."""
+"""Bandwidth that the gains of the amplifiers' current loops are set for, Hz."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,8 @@ def _machine_over_encoder_cycle(machine: Machine, timing: Timing) -> tuple[Matri
         motor = machine.description.motors[axis]
         row, ratio = machine.assembly.placing[motor.coordinate]
         force[row, place] = ratio * motors.force_constant(motor)
-    lag = 2.0 * np.pi * CURRENT_LOOP_HZ
+    # The amplifier corrects the share 2 pi f dt of its error in a tick: a lag with this rate.
+    lag = -np.log(1.0 - 2.0 * np.pi * CURRENT_LOOP_HZ * timing.tick_s) / timing.tick_s
     states = 2 * size + 3
     rates = np.zeros((states + 3, states + 3))
     rates[:size, size : 2 * size] = np.eye(size)

@@ -52,6 +52,11 @@ class Model:
         }
         return yaml.safe_dump(sections, sort_keys=False)
 
+    @property
+    def description(self) -> str:
+        """The machine: name, path or text of its description."""
+        return str(self.parameters['plant'].get('description', 'rigid'))
+
     def with_settings(self, node: str, settings: Mapping[str, Any]) -> Model:
         """Return the model with other settings of one node laid over its own."""
         parameters = copy.deepcopy(self.parameters)
@@ -104,6 +109,9 @@ def recorded_model(recording: Recording) -> Model:
     where = recording.path / 'model.yaml'
     sections = _sections(parse(text, str(where)))
     parameters = {node: sections.get(node, {}) for node in NODES}
+    if 'machine.yaml' in recording.attachments:
+        # The machine as it was then; a file of that name may have changed since.
+        parameters['plant']['description'] = recording.attachments['machine.yaml']
     return Model(str(recording.run.get('model', 'recorded')), where, parameters)
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.description import whole_text
+from waferbot_plant.plant import description_source
 from waferbot_pmac.experiments import Experiment, load_experiment
 from waferbot_twin.models import Model, load_model
 from waferbot_twin.recording.writer import as_json
@@ -44,6 +46,7 @@ class Plan:
         return {
             'run.json': as_json(run),
             'model.yaml': self.model.text,
+            'machine.yaml': whole_text(description_source(self.model.description)),
             'experiment.yaml': self.experiment.text,
         }
 

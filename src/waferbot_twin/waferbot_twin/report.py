@@ -171,9 +171,7 @@ def _limit(panel: Axes, values: list[np.ndarray]) -> None:
         panel.set_ylim(middle - reach, middle + reach)
 
 
-def _draw_errors(
-    panel: Axes, responses: dict[str, AxisResponse], measured: AxisResponse
-) -> None:
+def _draw_errors(panel: Axes, responses: dict[str, AxisResponse], measured: AxisResponse) -> None:
     measured_time, measured_position = measured.since_start()
     factor, unit = scaled_unit(measured_position, measured.unit)
     for model, response in responses.items():

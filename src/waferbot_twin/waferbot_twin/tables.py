@@ -26,8 +26,8 @@ from waferbot_twin.engines.inprocess import Runaway, Twin
 from waferbot_twin.metrics import (
     FIGURES,
     StepMetrics,
-    performance_improvement,
     percent_difference,
+    performance_improvement,
 )
 from waferbot_twin.plan import Plan, make_plan
 from waferbot_twin.response import AxisResponse, rms_difference, simulated_responses

@@ -18,15 +18,18 @@ _DEVIATIONS = Path(__file__).with_name('known_deviations.yaml')
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far ours may be from the thesis: in percent of it, or in the figure's own unit."""
+    """How far ours may be from the thesis: a share of its value, or an amount in its unit."""
 
-    percent: float | None = None
-    points: float | None = None
+    amount: float
+    relative: bool
+
+    def width(self, thesis: float) -> float:
+        """Return the allowed distance from a value of the thesis, in its unit."""
+        return abs(thesis) * self.amount if self.relative else self.amount
 
     def admits(self, thesis: float, ours: float) -> bool:
         """Return whether `ours` is near enough; nothing that is not a number is."""
-        allowed = self.points if self.points is not None else abs(thesis) * self.percent / 100.0
-        return abs(ours - thesis) <= allowed
+        return abs(ours - thesis) <= self.width(thesis)
 
 
 def tolerance(column: str, figure: str) -> Tolerance:
@@ -36,8 +39,9 @@ def tolerance(column: str, figure: str) -> Tolerance:
     5 % in the rigid columns (2 percentage points of overshoot), 10 % in the others.
     """
     if column == 'rigid':
-        return Tolerance(points=2.0) if figure == 'overshoot_percent' else Tolerance(percent=5.0)
-    return Tolerance(percent=10.0)
+        overshoot = figure == 'overshoot_percent'
+        return Tolerance(2.0, relative=False) if overshoot else Tolerance(0.05, relative=True)
+    return Tolerance(0.10, relative=True)
 
 
 @cache

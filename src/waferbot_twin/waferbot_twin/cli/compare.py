@@ -18,8 +18,8 @@ from waferbot_twin.cli.console import new_table, print_json, result_console, sig
 from waferbot_twin.metrics import (
     FIGURES,
     RISE_RULES,
-    performance_improvement,
     percent_difference,
+    performance_improvement,
 )
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import AxisResponse, axis_responses, rms_difference
@@ -55,7 +55,7 @@ def execute(options: argparse.Namespace) -> int:
         print_json(result)
         return 0
     for axis, rows in result.items():
-        table = new_table(axis, *(key.replace('_', ' ') for key in next(iter(rows.values()))))
+        table = new_table(axis, *(key.replace('_', '\n') for key in next(iter(rows.values()))))
         for name, row in rows.items():
             table.add_row(name, *(significant(value) for value in row.values()))
         result_console.print(table, '')

@@ -158,6 +158,7 @@ def _print(result: dict[str, Any], rows: list[Any], found: list[Any]) -> None:
         console.print('no coupled modes: every connection is rigid')
         return
     pose = ', '.join(f'{axis} {value:g}' for axis, value in result['pose'].items()) or 'home'
+    console.print(f'coupled modes, pose: {pose}')
     table = new_table('mode', 'Hz', 'damping %', 'bends (share of energy)', 'moves')
     for column in table.columns[3:]:
         column.justify, column.no_wrap = 'left', False

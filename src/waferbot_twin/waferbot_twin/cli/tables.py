@@ -45,7 +45,7 @@ def execute(options: argparse.Namespace) -> int:
     def show(table: Table) -> None:
         columns = list(dict.fromkeys(key for row in table.rows for key in row.cells))
         print(f'Table {table.number}. {table.title}')
-        printed = new_table('', *columns, 'met')
+        printed = new_table('', *(column.replace(' ', '\n') for column in columns), 'met')
         for row in table.rows:
             cells = [row.cells.get(column) for column in columns]
             texts = [cell if isinstance(cell, str) else significant(cell) for cell in cells]

@@ -15,7 +15,8 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict, dataclass
 
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_lockstep.compiled import compiled_before
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 
 MODELS = ('rigid', 'simplified', 'flexible')
 LARGEST_DIFFERENCE = 1e-9
@@ -71,7 +72,9 @@ def run_checks(seed: int) -> list[Check]:
 
     checks = []
     total = 2 + 2 * len(MODELS)
-    with progress_bar('verifying (compiles at the first time)') as progress:
+    if not compiled_before():
+        say('compiling three models: once for these sources, about a minute, then kept on disk')
+    with progress_bar('verifying') as progress:
         differences = verification.open_loop_differences(load_machine('rigid'))
         for axis, percent in differences.items():
             thesis = verification.THESIS_DIFFERENCE_PERCENT[axis]
