@@ -134,7 +134,7 @@ def test_gains_make_the_natural_frequency_and_damping_that_they_are_named_for() 
 
 def test_shipped_as_built_machine_is_what_calibration_makes() -> None:
     document = calibration.copy.deepcopy(calibration._machine_file())
-    overlay = as_built_overlay(calibrated('as_built'))
+    overlay = as_built_overlay(calibrated('as_built_payload', 'as_built_y_rotate'))
     calibration.merge(document, calibration.Document(overlay, {(): ('as built', 1)}))
     wanted = check(document, 'improved')
     shipped = load_machine('as_built').description
