@@ -22,7 +22,7 @@ STEP_TICK = 360
 STEP_COUNTS = 2500  # of y_linear: 0.25 mm
 PROPORTIONAL = (1.43e-3, 3.91e-2, 1.01e-3)  # A/count
 DERIVATIVE = (1.8e-2, 2.9e-1, 2.5e-2)  # A/(count per servo cycle)
-BIAS = (0.0, -8.317, 0.0)  # A
+BIAS = (0.731, -8.111, 0.0)  # A
 LARGEST = 35.0  # A
 
 

