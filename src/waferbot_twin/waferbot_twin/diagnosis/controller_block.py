@@ -35,7 +35,9 @@ class ControllerBlock:
             for place, axis in enumerate(AXES)
             if variant.pmac.get(axis) and np.isfinite(record.command[:, place]).all()
         ]
-        per_bit = servo_parameters(variant.pmac, variant.name)[0]['amplifier_peak_current'] / 32768.0
+        per_bit = (
+            servo_parameters(variant.pmac, variant.name)[0]['amplifier_peak_current'] / 32768.0
+        )
         self.floors = [float(FLOOR_BITS * per_bit[place]) for place in self._axes]
         rows = record.timing.servo_divider // record.timing.encoder_divider
         self._counts = np.ascontiguousarray(record.reading[::rows][: len(record.command)]).astype(

@@ -99,7 +99,9 @@ class PlantBlock:
             innovation,
         )
         if blown_up >= 0:
-            raise UserError(f'{record.name}: the plant blew up when driven by the measured currents')
+            raise UserError(
+                f'{record.name}: the plant blew up when driven by the measured currents'
+            )
         whole = len(innovation) // self._averaged
         averaged = innovation[: whole * self._averaged].reshape(whole, self._averaged, -1)
         return [

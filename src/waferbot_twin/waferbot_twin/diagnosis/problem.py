@@ -77,9 +77,7 @@ class Problem:
 
     def residuals(self, variant: Variant, block: str) -> list[Array]:
         """Return the residuals of a block, all channels of all logs."""
-        return [
-            channel for part in self.blocks[block] for channel in part.residuals(variant)
-        ]
+        return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
 
     def floors(self, block: str) -> list[float]:
         """Return the smallest deviation of every channel of a block."""

@@ -19,9 +19,11 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    return Overlay(places.disturbance(
-        variant, axis, 'constant', {places.force_key(variant, axis): values['force']}
-    ))
+    return Overlay(
+        places.disturbance(
+            variant, axis, 'constant', {places.force_key(variant, axis): values['force']}
+        )
+    )
 
 
 EFFECT = Effect(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from waferbot_lockstep.errors import UserError
@@ -46,6 +46,11 @@ class Parameter:
     shape: bool = False
 
 
+def one_trial(variant: Variant, axis: str) -> tuple[Values, ...]:
+    """Return the one trial of an effect whose typical shape parameters will do."""
+    return ({},)
+
+
 @dataclass(frozen=True)
 class Effect:
     """
@@ -63,7 +68,7 @@ class Effect:
     axes: Callable[[Variant], tuple[str, ...]]
     parameters: Callable[[Variant, str], tuple[Parameter, ...]]
     overlay: Callable[[Variant, str, Mapping[str, float]], Overlay]
-    trials: Callable[[Variant, str], tuple[Values, ...]] = field(default=lambda variant, axis: ({},))
+    trials: Callable[[Variant, str], tuple[Values, ...]] = one_trial
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""

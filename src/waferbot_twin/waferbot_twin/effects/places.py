@@ -38,10 +38,14 @@ def motor_coordinate(variant: Variant, axis: str) -> str:
 def motor_ratio(variant: Variant, axis: str) -> float:
     """Return turns (or metres) of the motor per radian (or metre) of the axis; 1 for direct drives."""
     machine = variant.build(Timing())
-    return abs(
-        machine.assembly.placing[motor_coordinate(variant, axis)][1]
-        / machine.assembly.placing[coordinate(variant, axis)][1]
-    ) if _same_row(machine, variant, axis) else _ratio_of_transmissions(variant, axis)
+    return (
+        abs(
+            machine.assembly.placing[motor_coordinate(variant, axis)][1]
+            / machine.assembly.placing[coordinate(variant, axis)][1]
+        )
+        if _same_row(machine, variant, axis)
+        else _ratio_of_transmissions(variant, axis)
+    )
 
 
 def _same_row(machine: plant.Machine, variant: Variant, axis: str) -> bool:
@@ -52,7 +56,10 @@ def _same_row(machine: plant.Machine, variant: Variant, axis: str) -> bool:
 def _ratio_of_transmissions(variant: Variant, axis: str) -> float:
     driven = coordinate(variant, axis)
     for transmission in variant.description.transmissions.values():
-        if transmission.driving == motor_coordinate(variant, axis) and transmission.driven == driven:
+        if (
+            transmission.driving == motor_coordinate(variant, axis)
+            and transmission.driven == driven
+        ):
             return abs(1.0 / transmission.ratio)
     return 1.0
 
@@ -123,7 +130,7 @@ def disturbance(variant: Variant, axis: str, kind: str, values: dict[str, Any]) 
 
 
 def controlled_axes(variant: Variant, name: str) -> tuple[str, ...]:
-    """Return the axes whose controller is known and has a value other than zero for I-variable `name`."""
+    """Return the axes whose controller is known and has a value for I-variable `name`."""
     return tuple(
         axis
         for axis in motor_axes(variant)
