@@ -28,7 +28,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
-from waferbot_plant import elements, encoders, integrator, motors, multibody
+from waferbot_plant import constraints, elements, encoders, integrator, motors, multibody
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
 
@@ -61,6 +61,7 @@ def advance(state, parameters, voltage):
     """
     s = state[0]
     p = parameters[0]
+    constraints.find_held(s, p)
     for _ in range(p['substeps']):
         integrator.advance_step(s, p, voltage, p['step'])
 
@@ -134,13 +135,19 @@ def acceleration(state, parameters, force, result):
     use it.
     """
     s = state[0]
+    p = parameters[0]
     generalised_forces(state, parameters, result)
     for row in range(len(result)):
         result[row] += force[row]
         for column in range(row + 1):
             s['factors'][row, column] = s['mass_matrix'][row, column]
+    constraints.find_held(s, p)
+    if s['any_held']:
+        constraints.impose(s, s['factors'], result, 0.0)
     multibody.factorise(s['factors'])
     multibody.solve(s['factors'], result)
+    if s['any_held']:
+        constraints.follow(s, result, 0.0)
 
 
 @compiled
@@ -191,6 +198,7 @@ class Machine:
                 ('substeps', 'i8'),
                 *multibody.parameter_fields(links, size),
                 *elements.parameter_fields(**self._sizes),
+                *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
@@ -210,6 +218,7 @@ class Machine:
                 *encoders.STATE_FIELDS,
                 *elements.state_fields(**self._sizes, coordinates=size),
                 *multibody.workspace_fields(links, size),
+                *constraints.state_fields(size),
             ],
             align=True,
         )
@@ -362,6 +371,7 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
         }
         for name, value in values.items():
             p[f'{kind}_{name}'][place] = value
+        p[f'{kind}_held'][place] = element.held
 
 
 def config_folder() -> Path:
@@ -416,7 +426,7 @@ def load_machine(
     Text with line breaks is taken as the description itself, as a recording holds it.
 
     `timing` gives the length of a tick and how many lie between two readings of the encoders.
-    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
+    `switches` makes connections `rigid`, `held` or `flexible`, all or by name; `damping` is `calculated`
     or `improved`; `overlays` are files or mappings laid over the description in turn. Raises
     `UserError`.
     """
