@@ -45,7 +45,8 @@ from numpy.typing import NDArray
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import part_library
+from waferbot_plant import imperfections, part_library
+from waferbot_plant.imperfections import Disturbance, Vibration
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
@@ -263,6 +264,8 @@ class Description:
     connections: Mapping[str, Connection]
     frictions: Mapping[str, Friction]
     dampers: Mapping[str, Damper]
+    disturbances: Mapping[str, Disturbance]
+    vibration: Vibration
     axes: Mapping[str, str]
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
@@ -483,6 +486,8 @@ class _Reader:
             connections=connections,
             frictions=frictions,
             dampers=dampers,
+            disturbances=imperfections.read_disturbances(self),
+            vibration=imperfections.read_vibration(self),
             axes=axes,
             motors={axis: self.motor(axis) for axis in self.section('motors')},
             encoders={place: self.encoder(place) for place in self.section('encoders')},

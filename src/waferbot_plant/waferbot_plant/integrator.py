@@ -30,6 +30,13 @@ from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
 from waferbot_plant.constraints import follow, give_to_leaders, impose, lock
+from waferbot_plant.disturbances import (
+    add_disturbances,
+    add_floor,
+    book_disturbances,
+    book_floor,
+    shakes,
+)
 from waferbot_plant.elements import (
     add_cables,
     add_springs,
@@ -93,6 +100,12 @@ def advance_step(s, p, voltage, step):
             force, damping = force_and_damping(s, p, motor)
             right[row] += step * ratio * (force - damping * ratio * velocity[row])
             matrix[row, row] += 0.5 * step * damping * ratio * ratio
+    disturbed = p['disturbances'] > 0
+    shaken = shakes(p)
+    if disturbed:
+        add_disturbances(s, p, matrix, right, middle, mean, velocity, step)
+    if shaken:
+        add_floor(s, p, right, step)
     add_springs(s, p, matrix, right, position, velocity, step)
     judge_cables(s, p, middle, mean)
     limit_friction(s, p, mean)
@@ -108,6 +121,11 @@ def advance_step(s, p, voltage, step):
     book_springs(s, p, mean, step)
     book_cables(s, p, position, middle, mean, step)
     book_frictions(s, p, mean, step)
+    if disturbed:
+        book_disturbances(s, p, mean, step)
+    if shaken:
+        book_floor(s, mean, step)
+    s['steps'] += 1
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
         position[row] = middle[row]
