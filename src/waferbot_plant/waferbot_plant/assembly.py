@@ -15,7 +15,7 @@ the axes held by their motors), and a cable is stretched by it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +46,11 @@ class Link:
 
 @dataclass(frozen=True)
 class Element:
-    """A spring between minimal coordinates: deflection = sum of ratio * z over `terms`."""
+    """
+    A spring between minimal coordinates: deflection = sum of ratio * z over `terms`.
+
+    One that is `held` keeps its deflection; stiffness and damping are what it would have.
+    """
 
     name: str
     connections: tuple[str, ...]
@@ -55,6 +59,7 @@ class Element:
     damping: float
     rest: float
     pulls_only: bool
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -79,13 +84,15 @@ class Assembly:
 
 def assemble(description: Description) -> Assembly:
     """Build the arrays of a description with its connections switched as they are."""
-    flexible = {name for name, part in description.connections.items() if part.flexible}
-    links, link_of, placing, coordinates = _reduce(description, flexible)
+    links, link_of, placing, coordinates = _reduce(
+        description,
+        {name for name, part in description.connections.items() if part.flexible or part.held},
+    )
     rotor_inertia = _rotor_inertia(description, placing, len(coordinates))
     behaviour = Behaviour(description)
     elements = [
-        *_held_freedoms(description, flexible, placing, behaviour),
-        *_soft_transmissions(description, flexible, placing, behaviour),
+        *_held_freedoms(description, placing, behaviour),
+        *_soft_transmissions(description, placing, behaviour),
         *_dampers(description, placing),
     ]
     for cable in (element for element in elements if element.pulls_only):
@@ -317,9 +324,19 @@ def in_series(parts: list[tuple[float, float]]) -> tuple[float, float]:
     return stiffness, stiffness**2 * damping
 
 
+def giving_connections(description: Description, names: Iterable[str]) -> set[str]:
+    """
+    Return those of some connections in series that give.
+
+    The flexible ones; where there is none, the held ones: they would give if they were let go.
+    """
+    connections = description.connections
+    flexible = {name for name in names if connections[name].flexible}
+    return flexible or {name for name in names if connections[name].held}
+
+
 def _held_freedoms(
     description: Description,
-    flexible: set[str],
     placing: dict[str, tuple[int, float]],
     behaviour: Behaviour,
 ) -> list[Element]:
@@ -327,8 +344,9 @@ def _held_freedoms(
     elements = []
     for joint in description.joints.values():
         for freedom in joint.freedoms:
+            giving = giving_connections(description, freedom.connections)
             soft = [
-                description.connections[name] for name in freedom.connections if name in flexible
+                description.connections[name] for name in freedom.connections if name in giving
             ]
             if soft:
                 stiffness, damping = in_series(
@@ -345,8 +363,9 @@ def _held_freedoms(
                 names = tuple(part.name for part in soft)
                 rest = -behaviour.weight_on(freedom.name) / stiffness
                 term = placing[freedom.name]
+                held = not any(part.flexible for part in soft)
                 elements.append(
-                    Element(freedom.name, names, (term,), stiffness, damping, rest, False)
+                    Element(freedom.name, names, (term,), stiffness, damping, rest, False, held)
                 )
     return elements
 
@@ -372,14 +391,15 @@ def stages_seen_at_output(
 
 def _soft_transmissions(
     description: Description,
-    flexible: set[str],
     placing: dict[str, tuple[int, float]],
     behaviour: Behaviour,
 ) -> list[Element]:
     """Return the springs of the transmissions that give: deflection = ratio * driving - driven."""
     elements = []
     for transmission in description.transmissions.values():
-        seen = stages_seen_at_output(transmission, description.connections, flexible)
+        stages = [stage.connection for stage in transmission.stages if stage.connection]
+        giving = giving_connections(description, stages)
+        seen = stages_seen_at_output(transmission, description.connections, giving)
         if not seen:
             continue
         total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]
@@ -401,6 +421,7 @@ def _soft_transmissions(
                 damping,
                 behaviour.weight_on(transmission.driven) / stiffness,
                 transmission.pulls_only,
+                not any(part.flexible for part, _ in seen),
             )
         )
     return elements

@@ -11,7 +11,8 @@ which every coordinate is zero; so no chain of frames has to be worked out by ha
   freedom `held_by` connections is no axis of the machine but the give of a part.
 - A **transmission** ties two coordinates together by a ratio: gear, belt, cable over a pulley.
 - A **connection** is the elastic part in a joint or in a stage of a transmission. Where its state
-  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist.
+  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist. `held`
+  is as stiff as that, but the freedom stays in the model and stands still (see `constraints`).
 - A **rotor** is an inertia that spins about its own axis, driven through a transmission. As in the
   thesis (2.21) and in one-dimensional drive-train models it carries only the energy
   J * speed^2 / 2 of its own coordinate: the turning of the body that it is mounted on is not felt
@@ -44,7 +45,8 @@ from numpy.typing import NDArray
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import part_library
+from waferbot_plant import imperfections, part_library
+from waferbot_plant.imperfections import Disturbance, Vibration
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
@@ -54,6 +56,9 @@ BASE = 'base'
 
 DAMPING = ('calculated', 'improved')
 """The two sets of loss factors and friction; see the thesis, chapter 6."""
+
+STATES = ('held', 'rigid', 'flexible')
+"""What a connection can be."""
 
 _SCHEMA = json.loads(Path(__file__).with_name('description.schema.json').read_text('utf-8'))
 _UNITS = {False: ('m', 'n', 'n_m', 'n_s_m'), True: ('rad', 'nm', 'nm_rad', 'nm_s_rad')}
@@ -160,6 +165,8 @@ class Connection:
     Damping is either viscous (`damping`, N s/m or Nm s/rad) or structural (`loss_factor`), which
     becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
     the coordinates `free` may follow; in a joint, all others are held.
+
+    One that is neither `flexible` nor `held` is rigid.
     """
 
     name: str
@@ -169,6 +176,7 @@ class Connection:
     damping: float | None
     loss_factor: float | None
     free: tuple[str, ...]
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -256,6 +264,8 @@ class Description:
     connections: Mapping[str, Connection]
     frictions: Mapping[str, Friction]
     dampers: Mapping[str, Damper]
+    disturbances: Mapping[str, Disturbance]
+    vibration: Vibration
     axes: Mapping[str, str]
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
@@ -325,8 +335,10 @@ def _switch(document: Document, switches: Mapping[str, str] | str | None) -> Non
     for name, state in (switches or {}).items():
         if name not in connections:
             raise UserError(f'no connection {name!r} to switch{did_you_mean(name, connections)}')
-        if state not in ('rigid', 'flexible'):
-            raise UserError(f'connection {name}: state is {state!r}; it is rigid or flexible')
+        if state not in STATES:
+            raise UserError(
+                f'connection {name}: state is {state!r}; it is held, rigid or flexible'
+            )
         connections[name]['state'] = state
 
 
@@ -474,6 +486,8 @@ class _Reader:
             connections=connections,
             frictions=frictions,
             dampers=dampers,
+            disturbances=imperfections.read_disturbances(self),
+            vibration=imperfections.read_vibration(self),
             axes=axes,
             motors={axis: self.motor(axis) for axis in self.section('motors')},
             encoders={place: self.encoder(place) for place in self.section('encoders')},
@@ -714,19 +728,19 @@ class _Reader:
             self.moving((*key, 'first_frequency_with', place), coordinate)
             for place, coordinate in enumerate(value.get('first_frequency_with', ()))
         )
-        flexible = value['state'] == 'flexible'
+        flexible, held = value['state'] == 'flexible', value['state'] == 'held'
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held)
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):
             raise self.document.error(key, f'give either loss_factor or {names[rotary]}')
         if 'loss_factor' in value:
             loss = float(value['loss_factor'])
-            return Connection(name, flexible, rotary, stiffness, None, loss, free)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held)
         damping = float(self.quantity(key, rotary, *names))
-        return Connection(name, flexible, rotary, stiffness, damping, None, free)
+        return Connection(name, flexible, rotary, stiffness, damping, None, free, held)
 
     def stiffness_of_part(
         self, key: Key, value: dict[str, Any], rotary: bool

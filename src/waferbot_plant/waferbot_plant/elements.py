@@ -141,7 +141,8 @@ def judge_cables(s, p, middle, speed):
         stiffness = p['cable_stiffness'][cable]
         damping = p['cable_damping'][cable]
         s['cable_force'][cable] = 0.0
-        if elongation <= 0.0 or damping * rate < -stiffness * elongation:
+        held = s['any_held'] and p['cable_held'][cable]
+        if held or elongation <= 0.0 or damping * rate < -stiffness * elongation:
             s['cable_stiffness'][cable] = 0.0
             s['cable_damping'][cable] = 0.0
         elif damping * rate > stiffness * elongation:
@@ -209,6 +210,8 @@ def book_cables(s, p, before, after, mean_speed, step):
     `before` and `after` (n,) are the coordinates at both ends of the step.
     """
     for cable in range(len(p['cable_first'])):
+        if s['any_held'] and p['cable_held'][cable]:
+            continue
         start = cable_elongation(p, cable, before)
         end = cable_elongation(p, cable, after)
         rate = (
@@ -260,6 +263,23 @@ def limit_friction(s, p, speed):
         s['friction_now'][friction] = ratio * moving
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
+    if s['any_held']:
+        _give_friction_to_leaders(s)
+
+
+@compiled
+def _give_friction_to_leaders(s):
+    """Let the friction of followers act on their leaders; what is held needs none."""
+    for row in range(len(s['sliding'])):
+        leader = s['leader'][row]
+        if leader != row:
+            ratio = abs(s['leader_ratio'][row])
+            s['sliding_friction'][leader] += ratio * s['sliding_friction'][row]
+            s['holding_friction'][leader] += ratio * s['holding_friction'][row]
+    for row in range(len(s['sliding'])):
+        if s['leader'][row] != row or s['held_now'][row]:
+            s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
+            s['sliding'][row] = 0
 
 
 @compiled
@@ -267,10 +287,14 @@ def book_frictions(s, p, mean_speed, step):
     """Add the step's friction loss to the ledgers, shared among a coordinate's frictions."""
     for friction in range(len(p['friction_coordinate'])):
         coordinate = p['friction_coordinate'][friction]
+        share = s['friction_now'][friction]
+        if s['any_held']:
+            share *= abs(s['leader_ratio'][coordinate])
+            coordinate = s['leader'][coordinate]
         total = s['sliding_friction'][coordinate]
         if total > 0.0:
             loss = -s['friction_force'][coordinate] * mean_speed[coordinate] * step
-            s['friction_loss'][friction] += loss * s['friction_now'][friction] / total
+            s['friction_loss'][friction] += loss * share / total
 
 
 @compiled

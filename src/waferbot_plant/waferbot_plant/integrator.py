@@ -29,6 +29,14 @@ and Applications, Springer 1988.
 from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant.constraints import follow, give_to_leaders, impose, lock
+from waferbot_plant.disturbances import (
+    add_disturbances,
+    add_floor,
+    book_disturbances,
+    book_floor,
+    shakes,
+)
 from waferbot_plant.elements import (
     add_cables,
     add_springs,
@@ -92,6 +100,12 @@ def advance_step(s, p, voltage, step):
             force, damping = force_and_damping(s, p, motor)
             right[row] += step * ratio * (force - damping * ratio * velocity[row])
             matrix[row, row] += 0.5 * step * damping * ratio * ratio
+    disturbed = p['disturbances'] > 0
+    shaken = shakes(p)
+    if disturbed:
+        add_disturbances(s, p, matrix, right, middle, mean, velocity, step)
+    if shaken:
+        add_floor(s, p, right, step)
     add_springs(s, p, matrix, right, position, velocity, step)
     judge_cables(s, p, middle, mean)
     limit_friction(s, p, mean)
@@ -107,6 +121,11 @@ def advance_step(s, p, voltage, step):
     book_springs(s, p, mean, step)
     book_cables(s, p, position, middle, mean, step)
     book_frictions(s, p, mean, step)
+    if disturbed:
+        book_disturbances(s, p, mean, step)
+    if shaken:
+        book_floor(s, mean, step)
+    s['steps'] += 1
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
         position[row] = middle[row]
@@ -171,32 +190,34 @@ def _solve_with_friction(s, p, step):
         if s['sliding'][row] != 0:
             s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
             change[row] += step * s['friction_force'][row]
+    if s['any_held']:
+        impose(s, factors, change, 1.0)
     for row in range(size):
         if _is_stuck(s, row):
-            _lock(factors, change, row, -velocity[row])
+            lock(factors, change, row, -velocity[row])
     factorise(factors)
     solve(factors, change)
+    if s['any_held']:
+        follow(s, change, 1.0)
     for row in range(size):
         if _is_stuck(s, row):
             s['friction_force'][row] = _holding_force(s, p, row, step)
 
 
 @compiled
-def _lock(matrix, right, locked, value):
-    """Make `value` the solution's entry `locked`, exactly, and leave the equations symmetric."""
-    for column in range(locked):
-        right[column] -= matrix[locked, column] * value
-        matrix[locked, column] = 0.0
-    for row in range(locked + 1, len(right)):
-        right[row] -= matrix[row, locked] * value
-        matrix[row, locked] = 0.0
-    matrix[locked, locked] = 1.0
-    right[locked] = value
+def _holding_force(s, p, row, step):
+    """Return the friction that keeps a coordinate, and what follows it, at rest, N or Nm."""
+    force = _missing_force(s, p, row, step)
+    if s['any_held']:
+        for other in range(len(s['leader'])):
+            if s['leader'][other] == row and other != row:
+                force += s['leader_ratio'][other] * _missing_force(s, p, other, step)
+    return force
 
 
 @compiled
-def _holding_force(s, p, row, step):
-    """Return the friction that keeps a coordinate at rest, (A dz' - r) / h in its row, N or Nm."""
+def _missing_force(s, p, row, step):
+    """Return what is missing in a row of the equations: (A dz' - r) / h, N or Nm."""
     matrix = s['mass_matrix']
     change = s['velocity_change']
     residual = -s['right'][row]
@@ -252,6 +273,8 @@ def _let_cables_change(s, p, step):
     """
     response = s['response']
     for cable in range(len(p['cable_first'])):
+        if s['any_held'] and p['cable_held'][cable]:
+            continue
         start = cable_elongation(p, cable, s['position'])
         end = start + step * _mean_rate(s, p, cable)
         if (start > 0.0) == (end > 0.0):
@@ -269,10 +292,14 @@ def _let_cables_change(s, p, step):
         second = p['cable_second'][cable]
         response[first] += p['cable_first_ratio'][cable]
         response[second] += p['cable_second_ratio'][cable]
+        if s['any_held']:
+            give_to_leaders(s, response)
         for row in range(len(response)):
             if _is_stuck(s, row):
                 response[row] = 0.0
         solve(s['factors'], response)
+        if s['any_held']:
+            follow(s, response, 0.0)
         compliance = (
             0.5
             * step

@@ -28,7 +28,15 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
-from waferbot_plant import elements, encoders, integrator, motors, multibody
+from waferbot_plant import (
+    constraints,
+    disturbances,
+    elements,
+    encoders,
+    integrator,
+    motors,
+    multibody,
+)
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
 
@@ -61,6 +69,9 @@ def advance(state, parameters, voltage):
     """
     s = state[0]
     p = parameters[0]
+    constraints.find_held(s, p)
+    if p['disturbances'] > 0:
+        disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
         integrator.advance_step(s, p, voltage, p['step'])
 
@@ -113,8 +124,8 @@ def generalised_forces(state, parameters, result):
     """
     Fill `result` (n,) with the forces on z at the present state, N or Nm.
 
-    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction,
-    motors and `external_force`.
+    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects, and disturbances; not of
+    dry friction, motors, a vibrating floor and `external_force`.
     """
     s = state[0]
     p = parameters[0]
@@ -122,6 +133,7 @@ def generalised_forces(state, parameters, result):
     for row in range(len(result)):
         result[row] = -s['bias'][row]
     elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
+    disturbances.add_instant_disturbances(s, p, s['position'], s['velocity'], result)
 
 
 @compiled
@@ -134,13 +146,19 @@ def acceleration(state, parameters, force, result):
     use it.
     """
     s = state[0]
+    p = parameters[0]
     generalised_forces(state, parameters, result)
     for row in range(len(result)):
         result[row] += force[row]
         for column in range(row + 1):
             s['factors'][row, column] = s['mass_matrix'][row, column]
+    constraints.find_held(s, p)
+    if s['any_held']:
+        constraints.impose(s, s['factors'], result, 0.0)
     multibody.factorise(s['factors'])
     multibody.solve(s['factors'], result)
+    if s['any_held']:
+        constraints.follow(s, result, 0.0)
 
 
 @compiled
@@ -149,6 +167,7 @@ def energy(state, parameters, result):
     Fill `result` (4,) with the stored energies, J: kinetic, gravity, elastic, magnetic.
 
     Gravity is zero with every body at the base origin, springs and cables where they are unloaded.
+    Elastic includes the potential of periodic disturbances.
     """
     s = state[0]
     p = parameters[0]
@@ -156,6 +175,7 @@ def energy(state, parameters, result):
     result[0] = multibody.kinetic_energy(s, p, s['velocity'])
     result[1] = multibody.gravity_energy(s, p)
     result[2] = elements.elastic_energy(s, p, s['position'])
+    result[2] += disturbances.stored_in_periodic(p, s['position'])
     result[3] = motors.magnetic_energy(s, p)
 
 
@@ -191,6 +211,8 @@ class Machine:
                 ('substeps', 'i8'),
                 *multibody.parameter_fields(links, size),
                 *elements.parameter_fields(**self._sizes),
+                *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
+                *disturbances.PARAMETER_FIELDS,
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
@@ -210,6 +232,8 @@ class Machine:
                 *encoders.STATE_FIELDS,
                 *elements.state_fields(**self._sizes, coordinates=size),
                 *multibody.workspace_fields(links, size),
+                *constraints.state_fields(size),
+                *disturbances.state_fields(size),
             ],
             align=True,
         )
@@ -223,6 +247,7 @@ class Machine:
         p['step'] = self.timing.tick_s / description.substeps
         self._fill_mechanism(p)
         self._fill_elements(p)
+        self._fill_disturbances(p)
         for place, axis in enumerate(AXES):
             if axis in description.axes:
                 row, ratio = self._placing(description.axes[axis])
@@ -284,6 +309,35 @@ class Machine:
             p['friction_speed'][place, :points] = friction.speeds
             p['friction_resistance'][place, :points] = friction.resistances
             p['friction_breakaway'][place] = friction.breakaway
+
+    def _fill_disturbances(self, p: np.void) -> None:
+        """Write the forces from outside and the floor."""
+        description = self.description
+        p['disturbances'] = len(description.disturbances)
+        p['disturbance_points'] = 1
+        for slot, force in enumerate(description.disturbances.values()):
+            row, ratio = self._placing(force.coordinate)
+            points = len(force.at)
+            values = {
+                'kind': disturbances.KINDS.index(force.kind),
+                'coordinate': row,
+                'ratio': ratio,
+                'constant': force.constant,
+                'cosine': force.cosine,
+                'sine': force.sine,
+                'wave': force.wave_number,
+                'rms': force.rms,
+                'pole': np.exp(-2.0 * np.pi * force.bandwidth * self.timing.tick_s),
+                'seed': force.seed,
+                'points': points,
+            }
+            for name, value in values.items():
+                p[f'disturbance_{name}'][slot] = value
+            p['disturbance_at'][slot, :points] = force.at
+            p['disturbance_value'][slot, :points] = force.values
+        p['vibration_acceleration'] = description.vibration.acceleration
+        p['vibration_frequency'] = description.vibration.frequency
+        p['vibration_phase'] = description.vibration.phase
 
     def initial_state(
         self,
@@ -362,6 +416,7 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
         }
         for name, value in values.items():
             p[f'{kind}_{name}'][place] = value
+        p[f'{kind}_held'][place] = element.held
 
 
 def config_folder() -> Path:
@@ -416,7 +471,7 @@ def load_machine(
     Text with line breaks is taken as the description itself, as a recording holds it.
 
     `timing` gives the length of a tick and how many lie between two readings of the encoders.
-    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
+    `switches` makes connections `rigid`, `held` or `flexible`, all or by name; `damping` is `calculated`
     or `improved`; `overlays` are files or mappings laid over the description in turn. Raises
     `UserError`.
     """

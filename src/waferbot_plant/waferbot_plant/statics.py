@@ -9,7 +9,9 @@ the motors' forces F are what is left over on their coordinates:
 
 Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope;
 gravity changes the slope by parts in a thousand, so that each iteration gains about three digits.
-Dry friction is left out: it could hold more or less.
+Dry friction is left out: it could hold more or less. Held coordinates stand still, and what holds
+them takes what force it needs: with z' = T y' (see `constraints`) the equations are those above
+times T'.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import elements, motors, plant
+from waferbot_plant import constraints, elements, motors, plant
 from waferbot_plant.plant import Machine
 
 _ITERATIONS = 60
@@ -96,28 +98,41 @@ def reactions(
     springs.
 
     Positive where a deflection in the positive sense would load the spring, and for tension.
+    Without those that are held, whose force does not follow from a deflection.
     """
     s, p = state[0], parameters[0]
     elements.judge_cables(s, p, s['position'], s['velocity'])
     found = {
         element.name: elements.spring_force(p, place, s['position'], s['velocity'])
         for place, element in enumerate(machine.assembly.springs)
-        if element.connections
+        if element.connections and not p['spring_held'][place]
     }
     for place, element in enumerate(machine.assembly.cables):
-        found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
+        if not p['cable_held'][place]:
+            found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
     return found
 
 
-def elastic_stiffness(machine: Machine) -> NDArray[np.float64]:
-    """Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad."""
+def elastic_stiffness(
+    machine: Machine, parameters: NDArray[np.void] | None = None
+) -> NDArray[np.float64]:
+    """
+    Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad.
+
+    That of the description, or of `parameters` where given.
+    """
+    p = (machine.parameters() if parameters is None else parameters)[0]
     size = len(machine.coordinates)
     stiffness = np.zeros((size, size))
-    for element in (*machine.assembly.springs, *machine.assembly.cables):
-        arms = np.zeros(size)
-        for place, ratio in element.terms:
-            arms[place] += ratio
-        stiffness += element.stiffness * np.outer(arms, arms)
+    for kind, two_sided in (
+        ('spring', machine.assembly.springs),
+        ('cable', machine.assembly.cables),
+    ):
+        for spring, element in enumerate(two_sided):
+            arms = np.zeros(size)
+            for place, ratio in element.terms:
+                arms[place] += ratio
+            stiffness += p[f'{kind}_stiffness'][spring] * np.outer(arms, arms)
     return stiffness
 
 
@@ -153,22 +168,24 @@ def _balance(
     description = machine.description
     placing = machine.assembly.placing
     size = len(machine.coordinates)
-    held = {placing[coordinate][0] for coordinate in description.axes.values()}
-    free = [row for row in range(size) if row not in held]
+    leaders = constraints.leaders(state, parameters)
+    given = {leaders[placing[coordinate][0]] for coordinate in description.axes.values()}
+    motions = constraints.free_motions(state, parameters)
+    free = motions[:, [not given.intersection(np.nonzero(motion)[0]) for motion in motions.T]]
     axes = [axis for axis in description.axes if axis in description.motors]
     arms = np.zeros((size, len(axes)))
     for column, axis in enumerate(axes):
         row, ratio = placing[description.motors[axis].coordinate]
         arms[row, column] = ratio
-    stiffness = elastic_stiffness(machine)
-    slope = np.hstack([stiffness[:, free], -arms])
-    if not needed and not free:
+    stiffness = elastic_stiffness(machine, parameters)
+    slope = motions.T @ np.hstack([stiffness @ free, -arms])
+    if not needed and not free.size:
         return {}
     forces = np.zeros(len(axes))
     residual = np.zeros(size)
     for _ in range(_ITERATIONS):
         plant.generalised_forces(state, parameters, residual)
-        unbalanced = residual + arms @ forces
+        unbalanced = motions.T @ (residual + arms @ forces)
         correction, _, rank, _ = np.linalg.lstsq(slope, unbalanced, rcond=1e-14)
         if rank < slope.shape[1] or np.abs(slope @ correction - unbalanced).max() > 1e-6 * (
             1.0 + np.abs(unbalanced).max()
@@ -179,8 +196,8 @@ def _balance(
                 f'{description.name}: no static equilibrium; '
                 'a coordinate is held neither by a motor nor by a spring'
             )
-        state[0]['position'][free] += correction[: len(free)]
-        forces += correction[len(free) :]
+        state[0]['position'] += free @ correction[: free.shape[1]]
+        forces += correction[free.shape[1] :]
         if np.abs(unbalanced).max() < 1e-10 * (1.0 + np.abs(residual).max()):
             break
     return dict(zip(axes, forces.tolist(), strict=True))
