@@ -25,6 +25,9 @@ FLOOR_BITS = 0.05
 class ControllerBlock:
     """The controller's residual of one log, for any variant of the model."""
 
+    order = 0
+    """It is rounding that is left over, not noise: nothing to whiten, and nothing to hide in."""
+
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the model."""
         assert record.commanded is not None

@@ -66,6 +66,7 @@ def _newton_step(problem: Problem, now: Hypothesis, names: Names) -> tuple[Array
     residuals: list[Array] = []
     signatures: list[Array] = []
     floors: list[float] = []
+    orders: list[int] = []
     for block in sorted({block for item in own for block in item}):
         channels = now.residuals[block]
         total = sum(len(channel) for channel in channels)
@@ -78,7 +79,8 @@ def _newton_step(problem: Problem, now: Hypothesis, names: Names) -> tuple[Array
         residuals += channels
         signatures += np.split(matrix, np.cumsum([len(channel) for channel in channels])[:-1])
         floors += problem.floors(block)
-    estimate = fit(residuals, signatures, floors)
+        orders += problem.orders(block)
+    estimate = fit(residuals, signatures, floors, orders)
     return estimate.value, estimate.covariance
 
 

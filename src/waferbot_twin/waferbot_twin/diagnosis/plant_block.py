@@ -30,7 +30,7 @@ from waferbot_plant import motors, plant
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.variant import Variant
 
-OBSERVER_RAD_S = 2.0 * math.pi * 12.0
+OBSERVER_RAD_S = 2.0 * math.pi * 80.0
 OBSERVER_DAMPING = 0.7
 FLOOR_COUNTS = 0.2
 """Smallest standard deviation of a reading: whole counts are uniform over one, 0.29."""
@@ -39,15 +39,14 @@ FLOOR_COUNTS = 0.2
 class PlantBlock:
     """The plant's residual of one log, for any variant of the model."""
 
+    order = 24
+    """Forces that shake the machine are coloured."""
+
     def __init__(self, record: Record) -> None:
         """Prepare what does not depend on the model."""
         self.record = record
         self._averaged = record.timing.servo_divider // record.timing.encoder_divider
-
-    @property
-    def floors(self) -> list[float]:
-        """The smallest deviation that each channel can have, counts."""
-        return [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(ENCODERS)
+        self.floors = [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(ENCODERS)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from waferbot_twin.diagnosis.closed_loop_record import simulate
 from waferbot_twin.diagnosis.controller_block import ControllerBlock
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.record import Array, Record
@@ -24,6 +25,7 @@ class BlockOfLog(Protocol):
     """One block with the signals of one log."""
 
     floors: list[float]
+    order: int
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the residual of every channel."""
@@ -57,6 +59,7 @@ class Problem:
     def __init__(self, nominal: Variant, records: Sequence[Record]) -> None:
         """Prepare every block that the logs have the signals for."""
         self.nominal = nominal
+        self.records = tuple(records)
         self.blocks: dict[str, list[BlockOfLog]] = {PLANT: [], CONTROLLER: [], DRIVE: []}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record))
@@ -79,9 +82,24 @@ class Problem:
         """Return the residuals of a block, all channels of all logs."""
         return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
 
+    def ideal(self, causes: Sequence[Cause]) -> Problem | None:
+        """
+        Return the same problem with the noise-free logs of the model with these causes.
+
+        None if a log does not have what it was commanded.
+        """
+        if any(record.commanded is None for record in self.records):
+            return None
+        variant = apply_all(self.nominal, causes)
+        return Problem(self.nominal, [simulate(variant, record) for record in self.records])
+
     def floors(self, block: str) -> list[float]:
         """Return the smallest deviation of every channel of a block."""
         return [floor for part in self.blocks[block] for floor in part.floors]
+
+    def orders(self, block: str) -> list[int]:
+        """Return the order of the autoregression that whitens every channel of a block."""
+        return [part.order for part in self.blocks[block] for _ in part.floors]
 
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block."""
@@ -89,7 +107,8 @@ class Problem:
             block: fit(
                 channels,
                 [np.zeros((len(channel), 0)) for channel in channels],
-                self.floors(block)[: len(channels)],
+                self.floors(block),
+                self.orders(block),
             )
             for block, channels in residuals.items()
             if channels

@@ -120,7 +120,13 @@ def screen(
             channels = base.residuals[block]
             ends = np.cumsum([len(channel) for channel in channels])[:-1]
             everything = np.hstack([matrix, *(item[block] for item in of_base if block in item)])
-            estimate = fit(channels, np.split(everything, ends), problem.floors(block), rounds=2)
+            estimate = fit(
+                channels,
+                np.split(everything, ends),
+                problem.floors(block),
+                problem.orders(block),
+                rounds=2,
+            )
             gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
             value = estimate.value[: matrix.shape[1]]
         found.append(Screened(rival, gain - len(value) * math.log(base.samples), value))

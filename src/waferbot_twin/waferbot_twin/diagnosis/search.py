@@ -37,6 +37,7 @@ from waferbot_twin.diagnosis.screening import (
     screen,
     signatures,
 )
+from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.effects.effect import Effect
 
 FITTED = 5
@@ -97,7 +98,7 @@ def search(
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
         fitted = _fit_best(finding, state.found, screened, progress)
-        if not _take_best(judging, state, fitted):
+        if not _take_best(finding, judging, state, fitted):
             break
     _take_out(finding, judging, state)
     return state
@@ -150,7 +151,9 @@ def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
     return extra * math.log(max(more.samples, 2)) + 2.0 * math.log(max(tried, 1))
 
 
-def _take_best(judging: Problem, state: Search, fitted: Sequence[Hypothesis]) -> bool:
+def _take_best(
+    finding: Problem, judging: Problem, state: Search, fitted: Sequence[Hypothesis]
+) -> bool:
     """Take the best fitted hypothesis that pays for itself and is confirmed, if there is one."""
     base = state.found
     for item in fitted:
@@ -159,7 +162,10 @@ def _take_best(judging: Problem, state: Search, fitted: Sequence[Hypothesis]) ->
             continue
         try:
             judged = evaluate(judging, item.causes)
+            commanded = [caused_by_command(one, base, item) for one in (finding, judging)]
         except UserError:
+            continue
+        if commanded[0] < price(item, base, state.tried) or commanded[1] < CONFIRMS:
             continue
         if 2.0 * (judged.log_likelihood - state.judged.log_likelihood) < CONFIRMS:
             continue
@@ -173,6 +179,32 @@ def _take_best(judging: Problem, state: Search, fitted: Sequence[Hypothesis]) ->
         state.found, state.judged = item, judged
         return True
     return False
+
+
+def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> float:
+    """
+    Return what the last cause of `more` gains in 2 ln L by what the command made it do alone.
+
+    Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base`.
+    Infinite if the logs do not say what was commanded, so that this cannot be asked.
+    """
+    ideal = problem.ideal(more.causes)
+    if ideal is None:
+        return math.inf
+    here = evaluate(problem, base.causes)
+    there = evaluate(ideal, more.causes)
+    own = signature(ideal, there, more.causes, len(more.causes) - 1)
+    gain = 0.0
+    for block, matrix in own.items():
+        if not matrix.any():
+            continue
+        channels = here.residuals[block]
+        ends = np.cumsum([len(channel) for channel in channels])[:-1]
+        estimate = fit(
+            channels, np.split(matrix, ends), problem.floors(block), problem.orders(block)
+        )
+        gain += 2.0 * (estimate.log_likelihood - here.fits[block].log_likelihood)
+    return gain
 
 
 def _take_out(finding: Problem, judging: Problem, state: Search) -> None:

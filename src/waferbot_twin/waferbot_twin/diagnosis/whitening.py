@@ -8,7 +8,7 @@ is an autoregressive process,
 
     r[n] = a_1 r[n-1] + ... + a_p r[n-p] + w[n],        w white with variance s^2,
 
-whose coefficients follow from its autocorrelation (Yule-Walker), and is compared after filtering with
+whose coefficients follow by least squares, and is compared after filtering with
 1 - a_1 z^-1 - ...: generalised least squares, iterated as by Cochrane and Orcutt. With N samples per
 channel the logarithm of the likelihood is, up to a constant,
 
@@ -24,31 +24,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
-ORDER = 24
-"""Order p of the autoregressive model."""
 
-
-def autoregression(residual: Array, order: int = ORDER) -> Array:
+def autoregression(residual: Array, order: int) -> Array:
     """
     Return the prediction-error filter (1, -a_1, ..., -a_p) of a residual.
 
-    A small part of the variance is added at lag zero, so that a residual that is nearly a line
-    spectrum, or zero, has a filter too.
+    Least squares on the lagged samples (the covariance method). A small part of the variance is
+    added on the diagonal, so that a residual that is nearly a line spectrum, or zero, has a filter.
     """
+    if order == 0:
+        return np.ones(1)
     centred = residual - residual.mean()
-    size = len(centred)
-    spectrum = np.fft.rfft(centred, 2 * size)
-    correlation = np.fft.irfft(np.abs(spectrum) ** 2)[: order + 1] / size
-    if correlation[0] <= 0.0:
+    lagged = np.lib.stride_tricks.sliding_window_view(centred, order + 1)
+    moments = lagged.T @ lagged
+    variance = float(moments[0, 0])
+    if variance <= 0.0:
         return np.concatenate([[1.0], np.zeros(order)])
-    column = correlation[:order].copy()
-    column[0] *= 1.0 + 1e-9
-    return np.concatenate([[1.0], -solve_toeplitz(column, correlation[1:])])
+    known = moments[:order, :order] + 1e-10 * variance * np.eye(order)
+    return np.concatenate([[1.0], -np.linalg.solve(known, moments[:order, order])[::-1]])
 
 
 @dataclass(frozen=True)
@@ -74,26 +71,27 @@ def fit(
     residuals: Sequence[Array],
     signatures: Sequence[Array],
     floors: Sequence[float],
-    order: int = ORDER,
+    orders: Sequence[int],
     rounds: int = 4,
 ) -> Fit:
     """
     Fit the signatures (N, k) of all channels to their residuals (N,).
 
-    `floors` are the smallest standard deviations of white noise that each channel can have (that of
+    `orders` are those of the autoregression, 0 for white noise; `floors` are the smallest standard deviations of white noise that each channel can have (that of
     its resolution): a perfect fit is not infinitely likely.
     """
     count = signatures[0].shape[1]
     value = np.zeros(count)
     if not count:
-        return _result(residuals, signatures, value, np.zeros((0, 0)), floors, order)
+        return _result(residuals, signatures, value, np.zeros((0, 0)), floors, orders)
     for _ in range(rounds):
         left = [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
-        filters = [autoregression(r, order) for r in left]
+        filters = [autoregression(r, order) for r, order in zip(left, orders, strict=True)]
         rows, right, deviations = [], [], []
         for r, s, now, taps, floor in zip(
             residuals, signatures, left, filters, floors, strict=True
         ):
+            order = len(taps) - 1
             white = lfilter(taps, 1.0, now)[order:]
             deviation = max(float(np.sqrt(np.mean(white**2))), floor)
             deviations.append(deviation)
@@ -106,7 +104,7 @@ def fit(
         value = solution / scale
     inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
     covariance = inverse / np.outer(scale, scale)
-    return _result(residuals, signatures, value, covariance, floors, order)
+    return _result(residuals, signatures, value, covariance, floors, orders)
 
 
 def _result(
@@ -115,12 +113,12 @@ def _result(
     value: Array,
     covariance: Array,
     floors: Sequence[float],
-    order: int,
+    orders: Sequence[int],
 ) -> Fit:
     """Judge a value of the parameters: filter, variance and likelihood anew."""
     log_likelihood, samples = 0.0, 0
     whitened, filters, deviations = [], [], []
-    for r, s, floor in zip(residuals, signatures, floors, strict=True):
+    for r, s, floor, order in zip(residuals, signatures, floors, orders, strict=True):
         left = r + s @ value
         taps = autoregression(left, order)
         white = lfilter(taps, 1.0, left)[order:]
