@@ -31,7 +31,8 @@ Two imperfections of the bridge, both off by default:
 - Behind the bus is a supply of resistance R. With P the power that the motor drew in the tick
   before, Vbus = V0 - R P / Vbus, so Vbus = (V0 + sqrt(V0^2 - 4 R P)) / 2. A braking motor (P < 0)
   lifts the bus; there is no brake resistor. Losses of the bridge are not in P. Each amplifier has a
-  supply of its own.
+  supply of its own. Without a voltage limit the loop may ask for more than any bus can give, and P
+  is then as unreal as the voltage: set one together with R.
 
 Source of the first: S.-G. Jeong, M.-H. Park, The analysis and compensation of dead-time effects in
 PWM inverters, IEEE Transactions on Industrial Electronics 38(2), 1991.

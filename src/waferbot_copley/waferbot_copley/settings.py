@@ -74,7 +74,8 @@ SETTINGS = (
     # Current loop
     Parameter('bus_voltage', 325.0, 'V', 1.0, 1000.0, 'Direct voltage of the bus'),
     Parameter('bus_resistance', 0.0, 'ohm', 0.0, 10.0,
-              'Resistance of the supply behind the bus, which sags with the power of the tick before'),
+              'Resistance of the supply behind the bus, which sags with the power of the tick before; '
+              'to be used with a voltage_limit'),
     Parameter('bus_feedforward', 0, '', 0, 1,
               'Duty worked out from the bus voltage 0 as set, so that a sag weakens the loop, '
               '1 as it is; no difference without bus_resistance', integer=True),
