@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -50,6 +50,9 @@ from waferbot_plant.imperfections import Disturbance, Vibration
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
+
+LONGEST_DELAY = 15
+"""Longest delay of an encoder that the plant's history of readings can hold, in phase cycles."""
 
 BASE = 'base'
 """Name of the body that does not move."""
@@ -211,7 +214,9 @@ class Motor:
     A three-phase motor as its data sheet gives it: values from lead to lead.
 
     Resistance in ohm, inductance in H, `back_emf` the amplitude in V per m/s or rad/s,
-    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate.
+    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate. Imperfections, see
+    `waferbot_plant.motors`: `saturation_current` in A, 0 for none; relative `phase_imbalance` of
+    the windings 1 and 2.
     """
 
     axis: str
@@ -222,6 +227,18 @@ class Motor:
     back_emf: float
     electrical_gain: float
     heating: Heating | None
+    saturation_current: float
+    ripple: tuple[Ripple, ...]
+    phase_imbalance: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Force and back-EMF times 1 + cosine cos(order theta) + sine sin(order theta), relative."""
+
+    order: float
+    cosine: float
+    sine: float
 
 
 @dataclass(frozen=True)
@@ -229,8 +246,9 @@ class Heating:
     """
     How a motor's windings warm up: one heat capacity on one resistance to the air about it.
 
-    `to_air` in K/W, `capacity` in J/K, `air` in degC; the data sheet's winding resistance holds at
-    `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper has 0.00393 at 20 degC.
+    `to_air` in K/W, `capacity` in J/K, `air` and, of the windings, `start` in degC; the data sheet's
+    winding resistance holds at `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper
+    has 0.00393 at 20 degC.
     """
 
     to_air: float
@@ -238,6 +256,38 @@ class Heating:
     air: float
     resistance_at: float
     coefficient: float
+    start: float
+
+
+@dataclass(frozen=True)
+class CyclicError:
+    """An error of `amplitude` cos(2 pi x / `period` - `phase`); amplitude and period in one unit."""
+
+    amplitude: float = 0.0
+    period: float = 1.0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class EncoderErrors:
+    """
+    What is wrong with an encoder, none by default; see `waferbot_plant.encoders`.
+
+    `scale` is relative; `eccentricity` in m or rad; `interpolation`, `coarseness`, `noise` (rms) and
+    `lost_counts` in counts; `extra_delay` and `delay_fraction` in phase cycles; `lost_every` in m or
+    rad, 0 where nothing is lost.
+    """
+
+    scale: float = 0.0
+    eccentricity: CyclicError = CyclicError()
+    interpolation: CyclicError = CyclicError()
+    coarseness: float = 1.0
+    extra_delay: int = 0
+    delay_fraction: float = 0.0
+    noise: float = 0.0
+    noise_seed: int = 0
+    lost_counts: float = 0.0
+    lost_every: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -247,6 +297,22 @@ class Encoder:
     place: str
     coordinate: str
     counts_per_unit: float
+    errors: EncoderErrors
+
+
+@dataclass(frozen=True)
+class CurrentSensors:
+    """
+    The errors of the current sensors of a motor, lines 1 and 2: relative gains; A; A rms.
+
+    See `waferbot_plant.current_sensors`.
+    """
+
+    axis: str
+    gains: tuple[float, float]
+    offsets: tuple[float, float]
+    noise: float
+    noise_seed: int
 
 
 @dataclass(frozen=True)
@@ -269,6 +335,7 @@ class Description:
     axes: Mapping[str, str]
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
+    current_sensors: Mapping[str, CurrentSensors]
     parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
@@ -491,6 +558,9 @@ class _Reader:
             axes=axes,
             motors={axis: self.motor(axis) for axis in self.section('motors')},
             encoders={place: self.encoder(place) for place in self.section('encoders')},
+            current_sensors={
+                axis: self.current_sensors_of(axis) for axis in self.section('current_sensors')
+            },
             parts=self.parts,
             revolute=self.revolute,
             provenance=provenance,
@@ -887,7 +957,24 @@ class _Reader:
             float(back_emf),
             float(cycle) if revolute else 2.0 * math.pi / cycle,
             self.heating(axis),
+            float(value.get('saturation_current_a', 0.0)),
+            self.ripple(axis),
+            _pair(value.get('phase_imbalance', (0.0, 0.0))),
         )
+
+    def ripple(self, axis: str) -> tuple[Ripple, ...]:
+        """Read the ripples of a motor's constant, which together must leave it its sign."""
+        ripple = tuple(
+            Ripple(float(one['order']), float(one.get('cosine', 0.0)), float(one.get('sine', 0.0)))
+            for one in self.data['motors'][axis].get('ripple', ())
+        )
+        total = sum(math.hypot(one.cosine, one.sine) for one in ripple)
+        if total >= 1.0:
+            raise self.document.error(
+                ('motors', axis, 'ripple'),
+                f'amplitudes add up to {total:g}; they are relative and must stay below 1',
+            )
+        return ripple
 
     def heating(self, axis: str) -> Heating | None:
         """Read how a motor warms up; None for one that stays at the data sheet's temperature."""
@@ -900,6 +987,7 @@ class _Reader:
             air=float(value['air_degc']),
             resistance_at=float(value['resistance_at_degc']),
             coefficient=float(value['resistance_rise_1_k']),
+            start=float(value.get('winding_start_degc', value['air_degc'])),
         )
 
     def encoder(self, place: str) -> Encoder:
@@ -907,4 +995,72 @@ class _Reader:
         key: Key = ('encoders', place)
         coordinate, revolute = self.coordinate(key, self.data['encoders'][place])
         counts = self.quantity(key, revolute, 'counts_per_m', 'counts_per_revolution')
-        return Encoder(place, coordinate, counts / (2.0 * math.pi) if revolute else float(counts))
+        per_unit = counts / (2.0 * math.pi) if revolute else float(counts)
+        return Encoder(place, coordinate, per_unit, self.encoder_errors(place, revolute))
+
+    def encoder_errors(self, place: str, revolute: bool) -> EncoderErrors:
+        """Read what is wrong with an encoder."""
+        key: Key = ('encoders', place)
+        value = self.data['encoders'][place]
+        lost: dict[str, Any] = value.get('lost_counts', {})
+        every = (
+            self.quantity((*key, 'lost_counts'), revolute, 'every_m', 'every_rad') if lost else 0
+        )
+        errors = EncoderErrors(
+            scale=float(value.get('scale_error', 0.0)),
+            eccentricity=self.eccentricity((*key, 'eccentricity'), revolute),
+            interpolation=_cyclic_error(value.get('interpolation'), 'counts'),
+            coarseness=float(value.get('coarseness_counts', 1.0)),
+            extra_delay=int(value.get('extra_delay_cycles', 0)),
+            delay_fraction=float(value.get('delay_fraction', 0.0)),
+            noise=float(value.get('noise_counts', 0.0)),
+            noise_seed=int(value.get('noise_seed', 0)),
+            lost_counts=float(lost.get('counts', 0.0)),
+            lost_every=float(every),
+        )
+        common = int(self.section('feedback').get('delay_cycles', 1))
+        if common + errors.extra_delay > LONGEST_DELAY:
+            raise self.document.error(
+                (*key, 'extra_delay_cycles'),
+                f'is {errors.extra_delay}; with feedback.delay_cycles = {common} the count would be '
+                f'{common + errors.extra_delay} cycles late, the longest delay is {LONGEST_DELAY}',
+            )
+        return errors
+
+    def eccentricity(self, key: Key, revolute: bool) -> CyclicError:
+        """Read the eccentricity of an encoder, in the unit of its coordinate."""
+        value = self.data['encoders'][key[1]].get('eccentricity')
+        if value is None:
+            return CyclicError()
+        self.quantity(key, revolute, 'amplitude_m', 'amplitude_rad')
+        self.quantity(key, revolute, 'period_m', 'period_rad')
+        unit = 'rad' if revolute else 'm'
+        return _cyclic_error(value, unit)
+
+    def current_sensors_of(self, axis: str) -> CurrentSensors:
+        """Read the errors of a motor's current sensors."""
+        self.reference(('current_sensors', axis), axis, self.section('motors'), 'motor')
+        value = self.data['current_sensors'][axis]
+        return CurrentSensors(
+            axis,
+            (float(value.get('gain_1', 0.0)), float(value.get('gain_2', 0.0))),
+            (float(value.get('offset_1_a', 0.0)), float(value.get('offset_2_a', 0.0))),
+            float(value.get('noise_a', 0.0)),
+            int(value.get('noise_seed', 0)),
+        )
+
+
+def _pair(values: Sequence[float]) -> tuple[float, float]:
+    """Return two numbers as a tuple."""
+    return float(values[0]), float(values[1])
+
+
+def _cyclic_error(value: Mapping[str, Any] | None, unit: str) -> CyclicError:
+    """Return the cyclic error whose amplitude and period are given in `unit`; none for None."""
+    if value is None:
+        return CyclicError()
+    return CyclicError(
+        float(value[f'amplitude_{unit}']),
+        float(value[f'period_{unit}']),
+        float(value.get('phase_rad', 0.0)),
+    )

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import (
     constraints,
+    current_sensors,
     disturbances,
     elements,
     encoders,
@@ -51,12 +53,13 @@ def measure(state, parameters, tick, counts, line_currents):
 
     `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
     ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of
-    each motor, A, positive into the motor. Places of axes that the machine does not have are zero.
+    each motor as its sensors show them, A, positive into the motor. Places of axes that the
+    machine does not have are zero.
     """
     s = state[0]
     p = parameters[0]
     encoders.measure_counts(s, p, tick, counts)
-    motors.measure_line_currents(s, p, line_currents)
+    current_sensors.measure_currents(s, p, tick, line_currents)
 
 
 @compiled
@@ -215,6 +218,7 @@ class Machine:
                 *disturbances.PARAMETER_FIELDS,
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
+                *current_sensors.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
                 ('axis_ratio', 'f8', (len(AXES),)),
             ],
@@ -263,16 +267,20 @@ class Machine:
                     p['inductance'][place],
                     p['back_emf'][place],
                 ) = motors.winding_data(motor)
-                for name, value in motors.heating_data(motor).items():
-                    p[name][place] = value
+                _fill_place(p, place, motors.heating_data(motor))
+                _fill_place(p, place, motors.imperfection_data(motor))
+            if axis in description.current_sensors:
+                sensors = description.current_sensors[axis]
+                _fill_place(p, place, current_sensors.sensor_data(sensors))
         for place, place_name in enumerate(ENCODERS):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
                 row, ratio = self._placing(encoder.coordinate)
                 p['encoder_coordinate'][place] = row
-                p['counts_per_unit'][place] = encoder.counts_per_unit * ratio
+                _fill_place(
+                    p, place, encoders.encoder_data(encoder, ratio, description.encoder_delay)
+                )
         p['encoder_divider'] = self.timing.encoder_divider
-        p['encoder_delay'] = description.encoder_delay
         return parameters
 
     def _placing(self, coordinate: str) -> tuple[int, float]:
@@ -353,7 +361,7 @@ class Machine:
         where gravity moves an axis; with it the windings carry the currents that hold the axes.
         """
         state = np.zeros(1, self.state_dtype)
-        state['winding_temperature'] = parameters['air_temperature']
+        state['winding_temperature'] = parameters['start_temperature']
         if positions or holding:
             from waferbot_plant.statics import settle
 
@@ -393,9 +401,13 @@ class Machine:
 
 def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None:
     """Fill the encoders' history as if the machine had always stood where it is."""
-    for encoder in range(encoders.ENCODERS):
-        count = encoders.read_encoder(parameters[0], state[0]['position'], encoder)
-        state[0]['readings'][:, encoder] = count
+    encoders.fill_readings(state[0], parameters[0])
+
+
+def _fill_place(p: np.void, place: int, values: Mapping[str, Any]) -> None:
+    """Write the parameters of one axis or encoder, by name, into its place."""
+    for name, value in values.items():
+        p[name][place] = value
 
 
 def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None:

@@ -61,11 +61,9 @@ def settle(
     if not holding:
         return
     for axis, force in forces.items():
-        motor = description.motors[axis]
-        amplitude = force / motors.force_constant(motor)
         place = AXES.index(axis)
-        row, ratio = machine.assembly.placing[motor.coordinate]
-        angle = motor.electrical_gain * ratio * s['position'][row]
+        angle = _electrical_angle(machine, state, axis)
+        amplitude = _amplitude(machine, parameters, axis, force, angle)
         lines = amplitude * np.sin(angle - 2.0 * np.pi / 3.0 * np.arange(2))
         motors.set_line_currents(state, parameters, place, (float(lines[0]), float(lines[1])))
 
@@ -74,20 +72,51 @@ def holding_forces(
     machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the force (N) or torque (Nm) of each motor that holds the axes at `positions`."""
-    state = np.zeros(1, machine.state_dtype)
-    state[0]['position'] = _with_axes_at(machine, positions)
-    return _balance(machine, state, parameters, True)
+    return _held(machine, parameters, positions)[1]
 
 
 def holding_currents(
     machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the current command, A peak of sine, that holds each axis at `positions`."""
-    forces = holding_forces(machine, parameters, positions)
+    state, forces = _held(machine, parameters, positions)
     return {
-        axis: force / motors.force_constant(machine.description.motors[axis])
+        axis: _amplitude(machine, parameters, axis, force, _electrical_angle(machine, state, axis))
         for axis, force in forces.items()
     }
+
+
+def _held(
+    machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
+) -> tuple[NDArray[np.void], dict[str, float]]:
+    """Return the state of equilibrium with the axes at `positions`, and the motors' forces."""
+    state = np.zeros(1, machine.state_dtype)
+    state[0]['position'] = _with_axes_at(machine, positions)
+    forces = _balance(machine, state, parameters, True)
+    return state, forces
+
+
+def _electrical_angle(machine: Machine, state: NDArray[np.void], axis: str) -> float:
+    """Return the electrical angle of an axis' motor at a state, rad."""
+    motor = machine.description.motors[axis]
+    row, ratio = machine.assembly.placing[motor.coordinate]
+    return float(motor.electrical_gain * ratio * state[0]['position'][row])
+
+
+def _amplitude(
+    machine: Machine, parameters: NDArray[np.void], axis: str, force: float, angle: float
+) -> float:
+    """Return the amplitude of line currents (A) with which a motor makes a force (N, Nm)."""
+    place = AXES.index(axis)
+    if not parameters[0]['motor_imperfect'][place]:
+        return force / motors.force_constant(machine.description.motors[axis])
+    amplitude = motors.current_of_force(parameters, place, angle, force)
+    if not np.isfinite(amplitude):
+        raise NoEquilibrium(
+            f'{machine.description.name}: the motor of {axis} cannot hold {force:.4g} N or Nm: '
+            f'it saturates (motors.{axis}.saturation_current_a)'
+        )
+    return amplitude
 
 
 def reactions(

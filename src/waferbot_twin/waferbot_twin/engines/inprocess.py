@@ -385,6 +385,7 @@ def _advance(
     """
     position_encoder = servo_parameters[0]['Ixx03']
     target = np.empty(3)
+    i2t = np.zeros((2, 3))
     limits = np.zeros(3, np.uint8)
     faults = np.zeros(3, np.uint32)
     encoder_row = 0
@@ -441,12 +442,15 @@ def _advance(
                 amplifier_state,
                 amplifier_parameters,
                 axes,
-                amplifier_i2t[amplifier_row, 0],
-                amplifier_i2t[amplifier_row, 1],
+                i2t[0],
+                i2t[1],
                 limits,
                 faults,
             )
+            # As from the node, a message about some axes repeats what was last said of the others.
             for axis in range(3):
+                amplifier_i2t[amplifier_row, 0, axis] = i2t[0, axis]
+                amplifier_i2t[amplifier_row, 1, axis] = i2t[1, axis]
                 amplifier_bits[amplifier_row, 0, axis] = limits[axis]
                 amplifier_bits[amplifier_row, 1, axis] = faults[axis]
             amplifier_tick[amplifier_row] = tick
