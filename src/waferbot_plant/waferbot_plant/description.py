@@ -32,7 +32,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -186,7 +186,8 @@ class Friction:
     up.
 
     Between the points it is interpolated, outside them held constant. `breakaway` multiplies the
-    resistance at speed zero to give the peak of static friction.
+    resistance at speed zero to give the peak of static friction. `law` has the parameters of
+    `friction_laws` by name; those not in it are zero.
     """
 
     name: str
@@ -194,6 +195,7 @@ class Friction:
     speeds: Vector
     resistances: Vector
     breakaway: float
+    law: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -807,6 +809,7 @@ class _Reader:
                 np.zeros(1),
                 np.array([factor * found.coulomb_nm]),
                 float(value.get('breakaway', 1.0)),
+                imperfections.read_friction_law(self, key, self.revolute[coordinate]),
             )
             if found.viscous_nm_s_per_rad > 0.0:
                 dampers[name] = Damper(name, coordinate, factor * found.viscous_nm_s_per_rad)
@@ -857,6 +860,7 @@ class _Reader:
             np.array(speeds, float),
             np.array(resistances, float) * value.get('factor', 1.0),
             float(value.get('breakaway', 1.0)),
+            imperfections.read_friction_law(self, key, revolute),
         )
 
     def damper(self, name: str) -> Damper:
