@@ -32,7 +32,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -189,7 +189,8 @@ class Friction:
     up.
 
     Between the points it is interpolated, outside them held constant. `breakaway` multiplies the
-    resistance at speed zero to give the peak of static friction.
+    resistance at speed zero to give the peak of static friction. `law` has the parameters of
+    `friction_laws` by name; those not in it are zero.
     """
 
     name: str
@@ -197,6 +198,7 @@ class Friction:
     speeds: Vector
     resistances: Vector
     breakaway: float
+    law: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -877,6 +879,7 @@ class _Reader:
                 np.zeros(1),
                 np.array([factor * found.coulomb_nm]),
                 float(value.get('breakaway', 1.0)),
+                imperfections.read_friction_law(self, key, self.revolute[coordinate]),
             )
             if found.viscous_nm_s_per_rad > 0.0:
                 dampers[name] = Damper(name, coordinate, factor * found.viscous_nm_s_per_rad)
@@ -927,6 +930,7 @@ class _Reader:
             np.array(speeds, float),
             np.array(resistances, float) * value.get('factor', 1.0),
             float(value.get('breakaway', 1.0)),
+            imperfections.read_friction_law(self, key, revolute),
         )
 
     def damper(self, name: str) -> Damper:

@@ -264,11 +264,11 @@ def limit_friction(s, p, speed):
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
     if s['any_held']:
-        _give_friction_to_leaders(s)
+        give_friction_to_leaders(s)
 
 
 @compiled
-def _give_friction_to_leaders(s):
+def give_friction_to_leaders(s):
     """Let the friction of followers act on their leaders; what is held needs none."""
     for row in range(len(s['sliding'])):
         leader = s['leader'][row]
@@ -276,9 +276,12 @@ def _give_friction_to_leaders(s):
             ratio = abs(s['leader_ratio'][row])
             s['sliding_friction'][leader] += ratio * s['sliding_friction'][row]
             s['holding_friction'][leader] += ratio * s['holding_friction'][row]
+            s['sliding_tilt'][leader] += s['leader_ratio'][row] * s['sliding_tilt'][row]
+            s['holding_tilt'][leader] += s['leader_ratio'][row] * s['holding_tilt'][row]
     for row in range(len(s['sliding'])):
         if s['leader'][row] != row or s['held_now'][row]:
             s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
+            s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
             s['sliding'][row] = 0
 
 

@@ -155,6 +155,42 @@ def read_vibration(reader: _Reader) -> Vibration:
     )
 
 
+def read_friction_law(reader: _Reader, key: Key, revolute: bool) -> dict[str, float]:
+    """Return the parameters of `friction_laws` that a friction gives, by name, in SI units."""
+    value = reader.data['frictions'][key[1]]
+    law = {
+        name: float(value[name])
+        for name in ('asymmetry', 'per_motor_force', 'position_amplitude', 'cold_amplitude')
+        if name in value
+    }
+    if 'position_amplitude' in value:
+        law['position_wave'] = wave_number(reader, key, revolute, value.get('position_order', 1))
+        law['position_phase'] = float(value.get('position_phase_rad', 0.0))
+    else:
+        for name in ('position_order', 'position_phase_rad', 'period_m', 'period_rad'):
+            if name in value:
+                raise reader.document.error((*key, name), 'goes with position_amplitude')
+    if ('cold_amplitude' in value) != ('cold_time_s' in value):
+        raise reader.document.error(key, 'give both cold_amplitude and cold_time_s, or neither')
+    if 'cold_time_s' in value:
+        law['cold_rate'] = 1.0 / value['cold_time_s']
+    if 'presliding' in value:
+        inner = (*key, 'presliding')
+        if value.get('breakaway', 1.0) != 1.0:
+            raise reader.document.error(
+                (*key, 'breakaway'),
+                'friction with presliding breaks away at its table for speed zero; '
+                'put the peak there',
+            )
+        law['bristle_stiffness'] = float(
+            reader.quantity(inner, revolute, 'stiffness_n_m', 'stiffness_nm_rad')
+        )
+        law['bristle_damping'] = optional(
+            reader, inner, revolute, 'damping_n_s_m', 'damping_nm_s_rad'
+        )
+    return law
+
+
 def optional(
     reader: _Reader, key: Key, revolute: bool, linear: str, rotary: str, default: float = 0.0
 ) -> float:

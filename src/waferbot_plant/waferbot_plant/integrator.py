@@ -48,6 +48,12 @@ from waferbot_plant.elements import (
     limit_friction,
     tension_in_crossing,
 )
+from waferbot_plant.friction_laws import (
+    add_presliding,
+    book_lawful_frictions,
+    book_presliding,
+    limit_lawful_friction,
+)
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
 from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
 
@@ -108,7 +114,11 @@ def advance_step(s, p, voltage, step):
         add_floor(s, p, right, step)
     add_springs(s, p, matrix, right, position, velocity, step)
     judge_cables(s, p, middle, mean)
-    limit_friction(s, p, mean)
+    if s['any_friction_law']:
+        limit_lawful_friction(s, p, middle, mean, step)
+        add_presliding(s, p, matrix, right, middle, mean, velocity, step)
+    else:
+        limit_friction(s, p, mean)
 
     _find_velocity_change(s, p, step)
     _let_cables_change(s, p, step)
@@ -120,7 +130,11 @@ def advance_step(s, p, voltage, step):
         s['external_work'] += s['external_force'][row] * mean[row] * step
     book_springs(s, p, mean, step)
     book_cables(s, p, position, middle, mean, step)
-    book_frictions(s, p, mean, step)
+    if s['any_friction_law']:
+        book_lawful_frictions(s, p, mean, step)
+        book_presliding(s, p, mean, step)
+    else:
+        book_frictions(s, p, mean, step)
     if disturbed:
         book_disturbances(s, p, mean, step)
     if shaken:
@@ -151,13 +165,16 @@ def _find_velocity_change(s, p, step):
         misfits = 0
         for row in range(size):
             if _is_stuck(s, row):
-                if abs(s['friction_force'][row]) > s['holding_friction'][row]:
-                    s['sliding'][row] = -1 if s['friction_force'][row] > 0.0 else 1
+                force = s['friction_force'][row] + s['holding_tilt'][row]
+                if abs(force) > s['holding_friction'][row]:
+                    s['sliding'][row] = -1 if force > 0.0 else 1
                     s['holding_friction'][row] = s['sliding_friction'][row]
+                    s['holding_tilt'][row] = s['sliding_tilt'][row]
                     misfits += 1
             elif (s['velocity'][row] + s['velocity_change'][row]) * s['sliding'][row] < 0.0:
                 s['sliding'][row] = 0
                 s['holding_friction'][row] = s['sliding_friction'][row]
+                s['holding_tilt'][row] = s['sliding_tilt'][row]
                 misfits += 1
             if misfits > 0 and rounds > 4:
                 break
@@ -188,7 +205,9 @@ def _solve_with_friction(s, p, step):
     add_cables(s, p, factors, change, s['position'], velocity, step)
     for row in range(size):
         if s['sliding'][row] != 0:
-            s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
+            s['friction_force'][row] = (
+                -s['sliding'][row] * s['sliding_friction'][row] - s['sliding_tilt'][row]
+            )
             change[row] += step * s['friction_force'][row]
     if s['any_held']:
         impose(s, factors, change, 1.0)

@@ -35,6 +35,7 @@ from waferbot_plant import (
     disturbances,
     elements,
     encoders,
+    friction_laws,
     integrator,
     motors,
     multibody,
@@ -73,6 +74,7 @@ def advance(state, parameters, voltage):
     s = state[0]
     p = parameters[0]
     constraints.find_held(s, p)
+    friction_laws.find_friction_laws(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
@@ -170,7 +172,7 @@ def energy(state, parameters, result):
     Fill `result` (4,) with the stored energies, J: kinetic, gravity, elastic, magnetic.
 
     Gravity is zero with every body at the base origin, springs and cables where they are unloaded.
-    Elastic includes the potential of periodic disturbances.
+    Elastic includes the potential of periodic disturbances and the bristles of friction.
     """
     s = state[0]
     p = parameters[0]
@@ -179,6 +181,7 @@ def energy(state, parameters, result):
     result[1] = multibody.gravity_energy(s, p)
     result[2] = elements.elastic_energy(s, p, s['position'])
     result[2] += disturbances.stored_in_periodic(p, s['position'])
+    result[2] += friction_laws.stored_in_bristles(s, p)
     result[3] = motors.magnetic_energy(s, p)
 
 
@@ -216,6 +219,7 @@ class Machine:
                 *elements.parameter_fields(**self._sizes),
                 *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
                 *disturbances.PARAMETER_FIELDS,
+                *friction_laws.parameter_fields(self._sizes['frictions']),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 *current_sensors.PARAMETER_FIELDS,
@@ -238,6 +242,7 @@ class Machine:
                 *multibody.workspace_fields(links, size),
                 *constraints.state_fields(size),
                 *disturbances.state_fields(size),
+                *friction_laws.state_fields(self._sizes['frictions'], size),
             ],
             align=True,
         )
@@ -317,6 +322,8 @@ class Machine:
             p['friction_speed'][place, :points] = friction.speeds
             p['friction_resistance'][place, :points] = friction.resistances
             p['friction_breakaway'][place] = friction.breakaway
+            for name, value in friction.law.items():
+                p[f'friction_{name}'][place] = value
 
     def _fill_disturbances(self, p: np.void) -> None:
         """Write the forces from outside and the floor."""
