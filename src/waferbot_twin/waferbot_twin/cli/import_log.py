@@ -16,8 +16,6 @@ from pathlib import Path
 from rich.table import Table
 
 from waferbot_twin.cli.console import print_json, result_console, significant
-from waferbot_twin.logs.archive import write_archive
-from waferbot_twin.logs.load import load_log
 from waferbot_twin.logs.measured import MeasuredLog
 
 
@@ -46,6 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Read, write and tell."""
+    from waferbot_twin.logs.archive import write_archive
+    from waferbot_twin.logs.load import load_log
+
     log = load_log(
         options.log, options.mapping, options.model, options.machine, options.part, options.name
     )

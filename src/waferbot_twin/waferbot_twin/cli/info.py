@@ -13,7 +13,6 @@ from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.cli.import_log import show
 from waferbot_twin.logs import archive
-from waferbot_twin.logs.load import load_log
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.reader import Recording, read_recording
 
@@ -61,6 +60,8 @@ def execute(options: argparse.Namespace) -> int:
 
 def _tell_measured(options: argparse.Namespace) -> int:
     """Describe a measured log that was imported."""
+    from waferbot_twin.logs.load import load_log
+
     log = load_log(options.recording)
     if options.json:
         print_json({'path': str(options.recording), **log.describe()})

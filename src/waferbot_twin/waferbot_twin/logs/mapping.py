@@ -313,8 +313,8 @@ def _conversion(
         moves = 'slides' if linear else 'turns'
         raise document.error(
             (*key, 'unit'),
-            f'wrong unit: {unit} is a {found.quantity}, but {kind} of {axis} (which {moves}) is '
-            f'a {quantity}: {", ".join(fitting)}',
+            f'wrong unit: {unit} is for {found.quantity}, but {kind} of {axis} (which {moves}) is '
+            f'in units of {quantity}: {", ".join(fitting)}',
         )
     return found
 

@@ -18,6 +18,9 @@ from waferbot_twin.logs.timebase import longest_step_s, median_step_s
 
 Array = NDArray[np.float64]
 
+SNAP = 1e-6
+"""Share of a step by which two times may differ and still be the same: rounding, not motion."""
+
 
 @dataclass(frozen=True, eq=False)
 class Signal:
@@ -78,12 +81,13 @@ class Signal:
         """
         if len(self.time_s) == 0:
             return np.full(len(time_s), np.nan), np.zeros(len(time_s), bool)
+        usual_s = median_step_s(self.time_s) if len(self.time_s) > 1 else 0.0
+        time_s = _snapped(np.asarray(time_s, np.float64), self.time_s, SNAP * usual_s)
         row = np.searchsorted(self.time_s, time_s, side='right') - 1
         held = np.clip(row, 0, None)
         if KINDS[self.kind].held:
-            usual_s = median_step_s(self.time_s) if len(self.time_s) > 1 else 0.0
             value = self.value[held]
-            last = time_s <= self.time_s[-1] + usual_s * (1.0 - 1e-9)
+            last = time_s < self.time_s[-1] + (1.0 - SNAP) * usual_s
         else:
             value = np.interp(time_s, self.time_s, self.value)
             last = time_s <= self.time_s[-1]
@@ -175,8 +179,8 @@ class MeasuredLog:
         if not begins:
             return Grid(np.zeros(0), {}, {})
         # A time that misses a multiple by rounding only belongs to it.
-        first = np.ceil((min(begins) if start_s is None else start_s) * rate_hz - 1e-6)
-        last = np.floor((max(ends) if end_s is None else end_s) * rate_hz + 1e-6)
+        first = np.ceil((min(begins) if start_s is None else start_s) * rate_hz - SNAP)
+        last = np.floor((max(ends) if end_s is None else end_s) * rate_hz + SNAP)
         time_s = np.arange(first, last + 1.0) / rate_hz
         sampled = {key: signal.at(time_s) for key, signal in self._by_key.items()}
         return Grid(
@@ -214,3 +218,12 @@ class MeasuredLog:
                 for finding in self.findings
             ],
         }
+
+
+def _snapped(time_s: Array, samples_s: Array, within_s: float) -> Array:
+    """Return times, those that miss a sample by no more than `within_s` moved onto it."""
+    after = np.clip(np.searchsorted(samples_s, time_s), 0, len(samples_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearer = np.abs(samples_s[before] - time_s) < np.abs(samples_s[after] - time_s)
+    nearest = samples_s[np.where(nearer, before, after)]
+    return np.where(np.abs(nearest - time_s) <= within_s, nearest, time_s)

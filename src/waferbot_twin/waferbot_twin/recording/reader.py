@@ -178,6 +178,18 @@ def _contract_topic(name: str, type_name: str) -> Topic | None:
     return None
 
 
+# A length that is garbage overflows, or asks for more memory than there is.
+_DAMAGE = (
+    McapError,
+    EOFError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    struct.error,
+    zstandard.ZstdError,
+)
+
+
 @dataclass
 class Content:
     """
@@ -244,7 +256,7 @@ def _read_file(file: Path, content: Content) -> bool:
             if not channels:
                 raise UserError(f'{file} is no MCAP file') from error
             content.trouble = content.trouble or f'{file.name}: {error!r}'
-        except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError) as error:
+        except _DAMAGE as error:
             if not any(data for data, _ in channels.values()):
                 raise UserError(f'{file} holds no readable message ({error!r})') from error
             content.trouble = content.trouble or f'{file.name}: {error!r}'
