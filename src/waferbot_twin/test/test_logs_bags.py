@@ -365,14 +365,22 @@ def test_our_own_recording_by_command(tmp_path, capsys) -> None:
     assert main(['info', str(tmp_path / 'log'), '--json']) == 0
     again = json.loads(capsys.readouterr().out)
     assert again['signals'] == told['signals']
+    assert main(['plot', str(tmp_path / 'log')]) == 0
+    assert (tmp_path / 'log' / 'plot.png').read_bytes().startswith(b'\x89PNG')
     log = load_log(tmp_path / 'log')
     moving = log['x_rotate', 'current_command']
     held, known = moving.at(log['x_rotate', 'current'].time_s)
     error = (log['x_rotate', 'current'].value - held)[known]
     assert np.sqrt(np.mean(error**2)) < 0.2 * np.abs(moving.value).max()
     assert log.get('y_rotate', 'motor_position') is not None
+    first = recording_file(tmp_path / 'log').read_bytes()
     assert main(['import', str(run), '--out', str(tmp_path / 'log')]) == 1
     assert 'exists already' in capsys.readouterr().err
+    assert main(['import', str(run), '--out', str(tmp_path / 'log'), '--force']) == 0
+    assert recording_file(tmp_path / 'log').read_bytes() == first
+    assert main(['import', str(run), '--out', str(run), '--force']) == 1
+    assert 'would replace the log itself' in capsys.readouterr().err
+    assert main(['import', str(recording_file(run)), '--out', str(run), '--force']) == 1
     shutil.rmtree(tmp_path / 'log')
     assert main(['import', str(tmp_path / 'nothing'), '--out', str(tmp_path / 'log')]) == 1
     assert 'does not exist' in capsys.readouterr().err

@@ -154,3 +154,44 @@ def test_nothing_usable_says_what_is_missing(tmp_path) -> None:
     alone = GOOD[: GOOD.index('  - column: 3')]
     with pytest.raises(UserError, match=r'needs, of one axis(.|\n)*usable is y_rotate\.position'):
         load_log(path, mapping_text(alone))
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers(-3, 10**9) | st.floats() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+    ),
+    max_leaves=5,
+)
+KEYS = ['machine', 'name', 'format', 'time', 'part', 'companion', 'options', 'gather', 'signals']
+
+
+@settings(deadline=None, max_examples=200)
+@given(key=st.sampled_from(KEYS), junk=JUNK)
+def test_junk_in_a_mapping_is_the_users_error(key, junk) -> None:
+    data = yaml.safe_load(GOOD) | {key: junk}
+    try:
+        mapping = mapping_text(yaml.safe_dump(data))
+    except UserError:
+        return  # a message for the user; anything else fails the test
+    assert mapping.signals
+
+
+@settings(deadline=None, max_examples=200)
+@given(
+    part=st.sampled_from(
+        ['column', 'kind', 'axis', 'unit', 'sign', 'scale', 'wraps_at', 'delay_s']
+    ),
+    junk=JUNK,
+)
+def test_junk_in_a_signal_is_the_users_error(tmp_path_factory, part, junk) -> None:
+    data = yaml.safe_load(GOOD)
+    data['signals'][0][part] = junk
+    path = tmp_path_factory.mktemp('junk') / 'log.csv'
+    time = np.arange(40) / 100.0
+    np.savetxt(path, np.column_stack([time, time, time]), '%.17g', ',')
+    try:
+        log = load_log(path, mapping_text(yaml.safe_dump(data)))
+    except UserError:
+        return
+    assert np.isfinite(log['y_rotate', 'position'].value).all()

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.logs.build import lattice_step
 from waferbot_twin.logs.checks import check_signals
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.timebase import in_order, longest_step_s, unwrap
@@ -200,3 +201,26 @@ def test_other_things_that_do_not_fit() -> None:
         following_error=('rad', -0.1 * PLACE, 0.0),
     )
     assert 'following_error is -1 times commanded minus actual position' in flipped
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    step=st.floats(1e-7, 1e2),
+    shift=st.floats(-0.5, 0.5),
+    span=st.integers(20, 5000),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_the_step_of_quantised_values_is_found(step, shift, span, seed) -> None:
+    random = np.random.default_rng(seed)
+    counts = np.cumsum(random.integers(-1, 2, span))
+    counts = np.append(counts, np.arange(12))
+    assert lattice_step((counts + shift) * step) == pytest.approx(step, rel=1e-6)
+
+
+@settings(deadline=None, max_examples=60)
+@given(count=st.integers(20, 3000), seed=st.integers(0, 2**32 - 1))
+def test_values_without_a_step_have_none(count, seed) -> None:
+    random = np.random.default_rng(seed)
+    assert lattice_step(random.normal(size=count)) == 0.0
+    assert lattice_step(np.sin(np.arange(count) * 0.0137)) == 0.0
+    assert lattice_step(np.zeros(count)) == 0.0

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import print_json, result_console, significant
 from waferbot_twin.logs.measured import MeasuredLog
 
@@ -47,6 +48,9 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.logs.archive import write_archive
     from waferbot_twin.logs.load import load_log
 
+    out, source = options.out.resolve(), options.log.resolve()
+    if out == source or out in source.parents:
+        raise UserError(f'--out {options.out} would replace the log itself; choose another folder')
     log = load_log(
         options.log, options.mapping, options.model, options.machine, options.part, options.name
     )

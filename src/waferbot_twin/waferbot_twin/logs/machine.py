@@ -80,12 +80,7 @@ def load_constants(name_or_path: str | Path) -> Machine:
 
 @dataclass(frozen=True)
 class Controls:
-    """
-    Settings behind the contract's topics: `servo` and `amplifier` as the nodes use them.
-
-    `motor_counts_per_unit` is for each axis that of its second encoder, None if it has no other one
-    than that for position.
-    """
+    """Settings behind the contract's topics: `servo` and `amplifier` as the nodes use them."""
 
     timing: Timing
     servo: np.void
