@@ -9,7 +9,6 @@ import math
 import numpy as np
 import pytest
 
-from waferbot_plant.description import check
 from waferbot_plant.modes import first_frequencies
 from waferbot_plant.plant import config_folder, load_machine
 from waferbot_twin import calibration
@@ -20,16 +19,21 @@ from waferbot_twin.calibration import (
     Residual,
     Stage,
     Unknown,
-    as_built_overlay,
+    as_built_bias,
+    as_built_machine,
     calibrated,
     candidate,
     describe,
     machine_overlay,
     search,
     servo_record,
+    with_ring,
 )
 from waferbot_twin.cli.main import main
+from waferbot_twin.models import load_model
 from waferbot_twin.thesis import thesis
+
+AS_BUILT_STAGES = ('as_built_payload', 'as_built_y_rotate')
 
 
 @pytest.mark.parametrize('name', STAGES)
@@ -133,18 +137,53 @@ def test_gains_make_the_natural_frequency_and_damping_that_they_are_named_for() 
 
 
 def test_shipped_as_built_machine_is_what_calibration_makes() -> None:
-    document = calibration.copy.deepcopy(calibration._machine_file())
-    overlay = as_built_overlay(calibrated('as_built_payload', 'as_built_y_rotate'))
-    calibration.merge(document, calibration.Document(overlay, {(): ('as built', 1)}))
-    wanted = check(document, 'improved')
+    wanted = as_built_machine(calibrated(*AS_BUILT_STAGES)).description
     shipped = load_machine('as_built').description
     assert shipped.encoder_delay == wanted.encoder_delay > 1
     assert set(shipped.frictions) == set(wanted.frictions)
+    for name, friction in wanted.frictions.items():
+        assert shipped.frictions[name].resistances == pytest.approx(friction.resistances, rel=1e-4)
+        assert shipped.frictions[name].speeds == pytest.approx(friction.speeds)
+    for name, damper in wanted.dampers.items():
+        assert shipped.dampers[name].damping == pytest.approx(damper.damping, rel=1e-4)
+    for name, connection in wanted.connections.items():
+        assert shipped.connections[name].stiffness == pytest.approx(connection.stiffness, rel=1e-4)
+        assert shipped.connections[name].loss_factor == connection.loss_factor
     for name, body in wanted.bodies.items():
         assert shipped.bodies[name].mass == pytest.approx(body.mass, rel=1e-4)
+        assert shipped.bodies[name].centre_of_gravity == pytest.approx(body.centre_of_gravity)
         assert shipped.bodies[name].inertia == pytest.approx(body.inertia, rel=1e-3, abs=1e-6)
     for axis, motor in wanted.motors.items():
         assert shipped.motors[axis].back_emf == pytest.approx(motor.back_emf, rel=1e-4)
+
+
+def test_as_built_model_has_the_nominal_gains_and_a_bias_of_its_own() -> None:
+    nominal = load_model('flexible').of_axes('pmac')
+    own = load_model('as_built').of_axes('pmac')
+    bias = as_built_bias(as_built_machine(calibrated(*AS_BUILT_STAGES)))
+    for axis in AXES:
+        assert {**own[axis], 'Ixx29': None} == {**nominal[axis], 'Ixx29': None}
+        assert own[axis]['Ixx29'] == pytest.approx(bias[axis]['Ixx29'], abs=1.0)
+
+
+def test_ring_of_the_as_built_load() -> None:
+    """The load's mass, first moment and inertia about the origin grow by just those of the ring."""
+    load = load_machine('flexible').description.bodies['x_rotate_load']
+    made = with_ring(load, 0.0, 3.0)
+    mass, centre = made['mass_kg']['value'], np.array(made['centre_of_gravity_m']['value'])
+    moments = np.array([made['inertia_kg_m2']['value'][name] for name in ('xx', 'yy', 'zz')])
+    ring_centre = load.centre_of_gravity * [1.0, 1.0, 0.0]  # on the axis of X-Rotate
+    radius = calibration.RING_RADIUS_M
+
+    def about_origin(mass, centre, moments):
+        return moments + mass * (centre @ centre - centre**2)
+
+    assert mass == pytest.approx(load.mass + 3.0)
+    assert mass * centre == pytest.approx(load.mass * load.centre_of_gravity + 3.0 * ring_centre)
+    assert about_origin(mass, centre, moments) == pytest.approx(
+        about_origin(load.mass, load.centre_of_gravity, np.diag(load.inertia))
+        + about_origin(3.0, ring_centre, 3.0 * radius**2 * np.array([1.0, 0.5, 0.5]))
+    )
 
 
 def bowl(values) -> Evaluation:

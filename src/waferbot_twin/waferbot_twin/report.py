@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,80 +111,129 @@ def write_report(folder: Path, tables: list[Table], runs: Runs, command: str) ->
 
 
 def draw(figure: Figure, runs: Runs, file: Path) -> None:
-    """Draw one figure into an image file."""
+    """Draw one figure into an image file: the whole record, and beside it the start enlarged."""
     responses = {model: runs[model, figure.axis].response for model in figure.models}
     if figure.errors:
-        canvas, panel = plt.subplots(figsize=(9.0, 3.6))
         measured = runs['as_built', figure.axis].response
-        _draw_errors(panel, responses, measured)
-        panel.set_xlabel('time from the step [s]')
+        rows = [_errors(responses, measured)]
     else:
-        canvas, panels = plt.subplots(3, 1, figsize=(9.0, 8.4), sharex=True)
-        for panel, (label, pick) in zip(panels, _SIGNALS.items(), strict=True):
-            _draw_signal(panel, responses, label, pick)
-        panels[-1].set_xlabel('time from the step [s]')
-    canvas.tight_layout()
+        rows = [_signal(responses, name) for name in _SIGNALS]
+    canvas, panels = plt.subplots(
+        len(rows), 2, figsize=(11.0, 1.4 + 2.4 * len(rows)), squeeze=False, sharex='col',
+        layout='constrained',
+    )  # fmt: skip
+    for line, row in zip(panels, rows, strict=True):
+        for panel in line:
+            _draw_row(panel, row)
+        line[0].set_ylabel(row.label)
+    panels[0][1].set_xlim(-0.05 * START_S[figure.axis], START_S[figure.axis])
+    for panel in panels[-1]:
+        panel.set_xlabel('time from the step [s]')
+    handles, labels = panels[0][0].get_legend_handles_labels()
+    canvas.legend(
+        handles, labels, loc='outside upper center', ncols=len(labels), fontsize=9, frameon=False
+    )
     canvas.savefig(file, dpi=100, metadata={'Software': 'waferbot'})
     plt.close(canvas)
 
 
-def _times(response: AxisResponse) -> tuple[float, float]:
-    """Return the time of the step, and the unit factor's base: its height."""
-    step = response.step()
-    return step if step is not None else (0.0, 1.0)
+START_S = {'y_linear': 0.12, 'x_rotate': 0.12, 'y_rotate': 0.3}
+"""How much of the step the enlarged half of a figure shows."""
 
 
-_SIGNALS = {
+@dataclass(frozen=True)
+class _Row:
+    """One row of a figure: curves (time, values, model or `commanded`) in the unit of the label."""
+
+    label: str
+    curves: list[tuple[np.ndarray, np.ndarray, str]]
+    limits: tuple[float, float] | None
+
+
+_SIGNALS: dict[str, Callable[[AxisResponse], tuple[np.ndarray, np.ndarray]]] = {
     'position': lambda response: (response.encoder_time, response.position),
     'following error': lambda response: (response.servo_time, response.following_error),
     'current': lambda response: (response.tick_time, response.current),
 }
 
 
-def _draw_signal(panel: Axes, responses: dict[str, AxisResponse], label: str, pick) -> None:
+def _signal(responses: dict[str, AxisResponse], name: str) -> _Row:
+    pick = _SIGNALS[name]
     first = next(iter(responses.values()))
-    unit = 'A' if label == 'current' else first.unit
-    factor, unit = scaled_unit(pick(first)[1], unit)
-    start_s, _ = _times(first)
-    if label == 'position':
-        panel.step(
-            first.servo_time - start_s, first.commanded * factor, where='post',
-            color='#999999', lw=0.8, label='commanded',
-        )  # fmt: skip
+    factor, unit = scaled_unit(pick(first)[1], 'A' if name == 'current' else first.unit)
+    curves = []
+    if name == 'position':
+        curves.append((first.servo_time - _start(first), first.commanded * factor, 'commanded'))
     for model, response in responses.items():
         time, values = pick(response)
-        panel.plot(
-            time - _times(response)[0], values * factor,
-            color=COLOURS[model], lw=1.0, label=NAMES[model],
-        )  # fmt: skip
-    _limit(panel, [pick(response)[1] * factor for response in responses.values()])
-    panel.set_ylabel(f'{label} [{unit}]')
-    panel.grid(alpha=0.3)
-    panel.legend(fontsize=8, loc='upper right')
+        curves.append((time - _start(response), values * factor, model))
+    measured = [values for _, values, model in curves if model != 'commanded']
+    limits = _current_limits(measured) if name == 'current' else _limits(measured)
+    return _Row(f'{name} [{unit}]', curves, limits)
 
 
-def _limit(panel: Axes, values: list[np.ndarray]) -> None:
-    """Keep a response that blows up from pressing the others flat: four times the first one."""
-    low, high = float(values[0].min()), float(values[0].max())
-    reach = 4.0 * max(high - low, 1e-12)
-    middle = 0.5 * (high + low)
-    if any(np.max(np.abs(other - middle)) > reach for other in values[1:]):
-        panel.set_ylim(middle - reach, middle + reach)
-
-
-def _draw_errors(panel: Axes, responses: dict[str, AxisResponse], measured: AxisResponse) -> None:
+def _errors(responses: dict[str, AxisResponse], measured: AxisResponse) -> _Row:
     measured_time, measured_position = measured.since_start()
     factor, unit = scaled_unit(measured_position, measured.unit)
+    curves = []
     for model, response in responses.items():
         time, position = response.since_start()
         error = position - np.interp(time, measured_time, measured_position)
-        panel.plot(
-            time, error * factor, color=COLOURS[model], lw=1.0, label=NAMES[model],
-            ls='--' if model == 'simplified' else '-',
+        curves.append((time, error * factor, model))
+    return _Row(f'simulated minus measured [{unit}]', curves, None)
+
+
+def _start(response: AxisResponse) -> float:
+    """Return the time of the step, s."""
+    step = response.step()
+    return step[0] if step is not None else 0.0
+
+
+def _draw_row(panel: Axes, row: _Row) -> None:
+    for time, values, model in row.curves:
+        if model == 'commanded':
+            panel.step(time, values, where='post', color='#999999', lw=0.8, label='commanded')
+        else:
+            panel.plot(
+                time, values, color=COLOURS[model], lw=1.0, label=NAMES[model],
+                ls='--' if model == 'simplified' else '-',
+                zorder=2.5 if model == 'as_built' else 2.0,  # a vibration must not hide it
+            )  # fmt: skip
+    if row.limits is not None:
+        panel.set_ylim(*row.limits)
+        drawn = np.concatenate([values for _, values, _ in row.curves])
+        panel.text(
+            0.98, 0.05, f'cut off: {drawn.min():.3g} to {drawn.max():.3g}',
+            transform=panel.transAxes, ha='right', fontsize=8, color='#555555',
         )  # fmt: skip
-    panel.set_ylabel(f'simulated minus measured [{unit}]')
     panel.grid(alpha=0.3)
-    panel.legend(fontsize=8, loc='upper right')
+
+
+def _limits(values: list[np.ndarray]) -> tuple[float, float] | None:
+    """
+    Return limits of four times the first curve if another one goes beyond them.
+
+    So a response that blows up does not press the others flat.
+    """
+    low, high = float(values[0].min()), float(values[0].max())
+    reach = 2.0 * max(high - low, 1e-12)
+    middle = 0.5 * (high + low)
+    beyond = any(np.max(np.abs(other - middle)) > reach for other in values[1:])
+    return (middle - reach, middle + reach) if beyond else None
+
+
+def _current_limits(values: list[np.ndarray]) -> tuple[float, float] | None:
+    """
+    Return limits that hold all but 0.5 % of the samples if what they leave out is far away.
+
+    That is the current which velocity feedforward asks for in the servo cycle of the step.
+    """
+    everything = np.concatenate(values)
+    low, high = np.percentile(everything, [0.25, 99.75])
+    spread = max(float(high - low), 1e-12)
+    if np.ptp(everything) < 2.0 * spread:
+        return None
+    return float(low) - 0.3 * spread, float(high) + 0.3 * spread
 
 
 def _page(tables: list[Table], command: str) -> str:

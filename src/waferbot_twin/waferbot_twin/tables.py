@@ -17,8 +17,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-import numpy as np
-
 from waferbot_lockstep.contract import AXES
 from waferbot_plant.modes import first_frequencies
 from waferbot_plant.plant import load_machine
@@ -29,6 +27,13 @@ from waferbot_twin.metrics import (
     percent_difference,
     performance_improvement,
 )
+from waferbot_twin.oscillation import (
+    BLOWN_UP,
+    HIGHER_BAND_HZ,
+    VIBRATION_BAND_HZ,
+    late_oscillation,
+    vibration_amplitude,
+)
 from waferbot_twin.plan import Plan, make_plan
 from waferbot_twin.response import AxisResponse, rms_difference, simulated_responses
 from waferbot_twin.thesis import known_deviations, printed, thesis, tolerance
@@ -38,12 +43,6 @@ MODELS = ('rigid', 'flexible', 'simplified', 'as_built', 'calculated')
 
 TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 THESIS_COLUMN = {'rigid': 'rigid', 'flexible': 'flexible', 'as_built': 'measured'}
-
-OSCILLATING = 0.02
-"""Half of the peak-to-peak motion, in steps, late in the hold, above which a loop is unstable."""
-
-VIBRATION_BAND_HZ = (65.0, 90.0)
-"""Around the 75 Hz that the thesis sees in the measured Y-Linear response (Figs. 4.4 to 4.6)."""
 
 KNIFE_EDGE = 0.01
 """Shift of the level, in steps, by which the sensitivity of a figure is shown."""
@@ -224,7 +223,7 @@ def compared(
     low, high = sensitivity(runs, model, axis, figure)
     if not (allowed.admits(ours, low) and allowed.admits(ours, high)):
         notes.append(
-            f'knife edge: {low:.4g} to {high:.4g} for levels {100 * KNIFE_EDGE:g} % of the step '
+            f'knife edge: {low:.4g} to {_end(high)} for levels {100 * KNIFE_EDGE:g} % of the step '
             'lower or higher'
         )
     cells: dict[str, float | str | None] = {
@@ -236,16 +235,20 @@ def compared(
 
 
 def sensitivity(runs: Runs, model: str, axis: str, figure: str) -> tuple[float, float]:
-    """Return the range of a figure when its level (50 %, 100 %, 5 % band) moves up and down."""
+    """
+    Return the range of a figure when its level (50 %, 100 %, 5 % band) moves up and down.
+
+    It ends at infinity where the figure is not reached within the hold for one of the levels.
+    """
     rule = thesis()['steps'][axis]['rise'][THESIS_COLUMN.get(model, 'flexible')]
     values = [
         getattr(_metrics(runs[model, axis].response, rule, shift), figure)
         for shift in (-KNIFE_EDGE, 0.0, KNIFE_EDGE)
     ]
     finite = [value for value in values if math.isfinite(value)]
-    if len(finite) < len(values):
+    if not finite:
         return float('nan'), float('nan')
-    return min(finite), max(finite)
+    return min(finite), max(finite) if len(finite) == len(values) else math.inf
 
 
 def improvement_table(runs: Runs, axis: str) -> Table:
@@ -366,41 +369,6 @@ def simplified_table(runs: Runs) -> Table:
     return table
 
 
-@dataclass(frozen=True)
-class Oscillation:
-    """
-    What an axis does late in the hold after a step.
-
-    `amplitude` half of the peak-to-peak motion in its last 0.1 s, in steps; `frequency_hz` where
-    the spectrum of that motion is highest; `farthest` the largest distance from the origin within
-    the hold, in steps.
-    """
-
-    amplitude: float
-    frequency_hz: float
-    farthest: float
-
-    @property
-    def unstable(self) -> bool:
-        """Whether the axis still moves by more than `OSCILLATING` steps."""
-        return not self.amplitude <= OSCILLATING
-
-
-def late_oscillation(run: Run) -> Oscillation:
-    """Return what the axis of a run does at the end of the hold; infinite where it blew up."""
-    if run.blew_up:
-        return Oscillation(float('inf'), float('nan'), float('inf'))
-    time_s, position, height = _hold(run.response)
-    late = position[time_s >= time_s[-1] - 0.1] / height
-    spectrum = np.abs(np.fft.rfft((late - late.mean()) * np.hanning(len(late)), 8 * len(late)))
-    frequencies = np.fft.rfftfreq(8 * len(late), time_s[1] - time_s[0])
-    return Oscillation(
-        float(np.ptp(late)) / 2.0,
-        float(frequencies[np.argmax(spectrum)]),
-        float(np.max(np.abs(position / height))),
-    )
-
-
 def stability_table(runs: Runs) -> Table:
     """Return the stability story of chapter 6: what the loops do with either damping."""
     table = Table('6, text', 'Closed loop with calculated and with improved damping')
@@ -409,7 +377,8 @@ def stability_table(runs: Runs) -> Table:
             ('calculated', 'calculated damping', 'unstable'),
             ('flexible', 'improved damping', 'stable'),
         ):
-            found = late_oscillation(runs[model, axis])
+            run = runs[model, axis]
+            found = BLOWN_UP if run.blew_up else late_oscillation(run.response)
             ours = 'unstable' if found.unstable else 'stable'
             known = known_deviations().get(f'{axis}.{model}.stability')
             met = ours == expected
@@ -420,6 +389,7 @@ def stability_table(runs: Runs) -> Table:
                         'thesis': expected,
                         'ours': ours,
                         'late amplitude, steps': found.amplitude,
+                        '0.2 s before': found.before,
                         'at Hz': found.frequency_hz if found.unstable else None,
                         'farthest, steps': found.farthest,
                     },
@@ -430,31 +400,16 @@ def stability_table(runs: Runs) -> Table:
     return table
 
 
-def vibration_amplitude(response: AxisResponse) -> float:
-    """
-    Return the amplitude of the position within `VIBRATION_BAND_HZ` after the step, m or rad.
-
-    Of the second difference's spectrum over the first 0.25 s (which lifts it out of the slow motion
-    of the loop), highest line, taken back to position.
-    """
-    time_s, position, _ = _hold(response)
-    early = position[time_s < 0.25]
-    interval = time_s[1] - time_s[0]
-    window = np.hanning(len(early))
-    spectrum = np.abs(np.fft.rfft((early - early[-1]) * window, 4 * len(early)))
-    frequencies = np.fft.rfftfreq(4 * len(early), interval)
-    low, high = VIBRATION_BAND_HZ
-    band = (frequencies >= low) & (frequencies <= high)
-    return float(2.0 * spectrum[band].max() / window.sum())
-
-
 def vibration_table(runs: Runs) -> Table:
     """Return the Y-Linear vibration near 75 Hz: in the measured and flexible response only."""
     table = Table('4, 6, text', 'Y-Linear vibration at 65 to 90 Hz after the step')
-    amplitudes = {
-        model: vibration_amplitude(runs[model, 'y_linear'].response)
-        for model in ('rigid', 'flexible', 'as_built')
-    }
+    amplitudes, higher = (
+        {
+            model: vibration_amplitude(runs[model, 'y_linear'].response, band_hz)
+            for model in ('rigid', 'flexible', 'as_built')
+        }
+        for band_hz in (VIBRATION_BAND_HZ, HIGHER_BAND_HZ)
+    )
     for model, expected in (('rigid', 'absent'), ('flexible', 'present'), ('as_built', 'present')):
         ratio = amplitudes[model] / amplitudes['rigid']
         ours = 'present' if ratio > 3.0 else 'absent'
@@ -467,6 +422,7 @@ def vibration_table(runs: Runs) -> Table:
                     'ours': ours,
                     'amplitude': amplitudes[model],
                     'times rigid': ratio,
+                    'amplitude at 300 to 600 Hz': higher[model],
                 },
                 ours == expected,
                 '' if ours == expected or not known else f'not met: {known["reason"]}',
@@ -475,23 +431,15 @@ def vibration_table(runs: Runs) -> Table:
     return table
 
 
-def _hold(response: AxisResponse) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return time and position from the first step to the next, and the step's height."""
-    step = response.step()
-    if step is None:
-        raise ValueError('the response has no step')
-    jumps = np.flatnonzero(np.diff(response.commanded))
-    ends = response.servo_time[jumps[1] + 1] if len(jumps) > 1 else np.inf
-    time_s, position = response.since_start()
-    part = (time_s >= 0.0) & (response.encoder_time < ends)
-    return time_s[part], position[part], step[1]
-
-
 def _metrics(response: AxisResponse, rise: str, level_shift: float = 0.0) -> StepMetrics:
     metrics = response.metrics(rise, level_shift)
     if metrics is None:
         raise ValueError('the response has no step')
     return metrics
+
+
+def _end(value: float) -> str:
+    return f'{value:.4g}' if math.isfinite(value) else 'never within the hold'
 
 
 def _percent_printed(entry: dict[str, float]) -> float:
