@@ -71,3 +71,11 @@ def measure_currents(s, p, tick, line_currents):
                 seed = p['current_noise_seed'][motor]
                 measured += noise * normal(seed, NOISE_CHANNEL + place, tick)
             line_currents[place] = measured
+
+
+@compiled
+def true_current(p, motor, line, measured):
+    """Return the current (A) of line 0 or 1 of a motor that was measured, without the noise."""
+    return (measured - p['current_offset'][motor, line]) / (
+        1.0 + p['current_gain_error'][motor, line]
+    )

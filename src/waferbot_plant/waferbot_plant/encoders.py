@@ -125,13 +125,15 @@ def read_encoder(p, position, encoder):
 
 
 @compiled
-def read_imperfect_encoder(s, p, encoder, reading):
+def seen_counts(s, p, encoder):
     """
-    Return the counts of an encoder with its imperfections at encoder tick number `reading`.
+    Return what an encoder sees, in counts, before noise and rounding, at an encoder tick.
 
     To be called once for each encoder tick, in order: it counts the marks that were passed.
     """
     now = p['counts_per_unit'][encoder] * s['position'][p['encoder_coordinate'][encoder]]
+    if not p['encoder_imperfect'][encoder]:
+        return now
     seen = now + p['delay_fraction'][encoder] * (s['position_before'][encoder] - now)
     s['position_before'][encoder] = now
     if p['mark_spacing'][encoder] > 0.0:
@@ -146,7 +148,13 @@ def read_imperfect_encoder(s, p, encoder, reading):
     _, cosine = sine_and_cosine(
         p['interpolation_per_count'][encoder] * seen - p['interpolation_phase'][encoder]
     )
-    seen += p['interpolation'][encoder] * cosine - s['lost'][encoder]
+    return seen + p['interpolation'][encoder] * cosine - s['lost'][encoder]
+
+
+@compiled
+def read_imperfect_encoder(s, p, encoder, reading):
+    """Return the counts of an encoder with its imperfections at encoder tick number `reading`."""
+    seen = seen_counts(s, p, encoder)
     if p['encoder_noise'][encoder] > 0.0:
         seed = p['encoder_noise_seed'][encoder]
         deviate = normal(seed, NOISE_CHANNEL + encoder, reading)

@@ -24,6 +24,7 @@ from waferbot_twin.cli import (
     plot,
     replay,
     run,
+    synthesize,
     tables,
     verify,
 )
@@ -38,6 +39,7 @@ COMMANDS = {
     'import': import_log,
     'calibrate': calibrate,
     'tables': tables,
+    'synthesize': synthesize,
     'modes': modes,
     'verify': verify,
     'demo': demo,

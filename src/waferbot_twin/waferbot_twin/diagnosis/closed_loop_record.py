@@ -42,4 +42,4 @@ def simulate(variant: Variant, record: Record) -> Record:
             twin.plant_parameters, positions, holding=True
         )
     twin.commanded = record.commanded - begin
-    return record_of_signals(record.name, twin, twin.advance(record.ticks))
+    return record_of_signals(record.name, twin.advance(record.ticks))

@@ -49,6 +49,7 @@ class ControllerBlock:
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return measured less computed command of every controlled axis, A."""
+        assert self.record.command is not None
         parameters = servo_parameters(variant.pmac, variant.name)
         state = servo.initial_state(parameters)
         computed = np.zeros_like(self.record.command)

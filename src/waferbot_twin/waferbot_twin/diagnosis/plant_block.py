@@ -10,11 +10,11 @@ Luenberger observer does,
 
 with c counts per unit, h the time between readings, w and z the observer's frequency and damping. The
 innovation e, in counts, is the block's residual. A force F that the model lacks appears in it as
-F / (M (s^2 + 2 z w s + w^2)): as in the open loop above w, as a constant share below it. Whitening takes
-out what w and z were, as long as all models that are compared have the same.
+c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above what
+moves the machine. Whitening takes out what w and z were; all models that are compared have the same.
 
-Positions are known beforehand here, so that a reading is compared with the coordinate at the tick at
-which it was taken, not at which it arrived.
+Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
+model's sensors say; positions are seen as its encoders see them, without their noise.
 """
 
 from __future__ import annotations
@@ -24,16 +24,22 @@ import math
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
-from waferbot_plant import motors, plant
+from waferbot_plant import current_sensors, encoders, motors, plant
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.variant import Variant
 
 OBSERVER_RAD_S = 2.0 * math.pi * 80.0
 OBSERVER_DAMPING = 0.7
+
 FLOOR_COUNTS = 0.2
 """Smallest standard deviation of a reading: whole counts are uniform over one, 0.29."""
+
+SETTLING_S = 0.02
+"""What is left out at the beginning of a log: there the observer takes hold."""
+
+LONGEST_DELAY = 32
 
 
 class PlantBlock:
@@ -42,15 +48,28 @@ class PlantBlock:
     order = 24
     """Forces that shake the machine are coloured."""
 
-    def __init__(self, record: Record) -> None:
-        """Prepare what does not depend on the model."""
+    def __init__(self, record: Record, variant: Variant) -> None:
+        """Prepare what does not depend on the values of the model."""
         self.record = record
-        self._averaged = record.timing.servo_divider // record.timing.encoder_divider
-        self.floors = [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(ENCODERS)
+        timing = record.timing
+        self._averaged = timing.servo_divider // timing.encoder_divider
+        self._skipped = round(SETTLING_S * timing.servo_hz)
+        self._places = [
+            place
+            for place, name in enumerate(ENCODERS)
+            if name in variant.description.encoders
+            and np.isfinite(record.reading[:, place]).mean() > 0.5
+        ]
+        self.floors = [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(self._places)
+
+    @property
+    def channels(self) -> list[str]:
+        """Name of the encoder behind every channel."""
+        return [ENCODERS[place] for place in self._places]
 
     def residuals(self, variant: Variant) -> list[Array]:
         """
-        Return the innovation of every encoder that the machine has, counts, at the servo's rate.
+        Return the innovation of every encoder of the log, counts, at the servo's rate.
 
         Raises `UserError` if the simulation blows up.
         """
@@ -59,41 +78,26 @@ class PlantBlock:
         parameters = machine.parameters()
         state = machine.resting_state(parameters)
         p = parameters[0]
-        rows = np.zeros(len(AXES), np.int64)
-        force = np.zeros((record.ticks, len(AXES)))
-        for place, axis in enumerate(AXES):
-            motor = machine.description.motors.get(axis)
-            if motor is None:
-                continue
-            rows[place], ratio = machine.assembly.placing[motor.coordinate]
-            force[:, place] = motors.force_constant(motor) * ratio * record.current[:, place]
-        p['winding'] = motors.NONE
-        state[0]['winding_current'] = 0.0
-        delay = int(p['encoder_delay'])
-        reading = np.full_like(record.reading, np.nan)
-        reading[: len(reading) - delay] = record.reading[delay:] + 0.5  # they are rounded down
-        step = record.timing.encoder_divider * record.timing.tick_s
+        step_s = record.timing.encoder_divider * record.timing.tick_s
         gains = np.zeros((2, len(ENCODERS)))
         held = set()
-        for encoder in range(len(ENCODERS)):
-            coordinate = int(p['encoder_coordinate'][encoder])
-            if p['counts_per_unit'][encoder] == 0.0 or coordinate in held:
+        for place in self._places:
+            coordinate = int(p['encoder_coordinate'][place])
+            if coordinate in held:
                 continue
             held.add(coordinate)
-            gains[:, encoder] = (
-                2.0 * OBSERVER_DAMPING * OBSERVER_RAD_S * step,
-                OBSERVER_RAD_S**2 * step,
-            )
-        self._stand_where_measured(state, p, reading)
-        innovation = np.zeros_like(reading)
+            gains[0, place] = 2.0 * OBSERVER_DAMPING * OBSERVER_RAD_S * step_s
+            gains[1, place] = OBSERVER_RAD_S**2 * step_s
+        self._stand_where_measured(state, parameters, step_s)
+        innovation = np.zeros_like(record.reading)
         blown_up = _drive(
             state,
             parameters,
-            force,
-            rows,
+            record.line_current,
+            0.5 if record.whole_counts else 0.0,
             record.timing.encoder_divider,
             gains,
-            reading,
+            record.reading,
             np.zeros(9),
             innovation,
         )
@@ -103,49 +107,83 @@ class PlantBlock:
             )
         whole = len(innovation) // self._averaged
         averaged = innovation[: whole * self._averaged].reshape(whole, self._averaged, -1)
-        return [
-            averaged[:, :, encoder].mean(axis=1)
-            for encoder in range(len(ENCODERS))
-            if p['counts_per_unit'][encoder] != 0.0
-        ]
+        return [averaged[self._skipped :, :, place].mean(axis=1) for place in self._places]
 
-    def _stand_where_measured(self, state: np.ndarray, p: np.void, reading: Array) -> None:
-        """Begin at the first readings."""
-        s = state[0]
-        for encoder in range(len(ENCODERS)):
-            per_unit = p['counts_per_unit'][encoder]
-            if per_unit != 0.0 and np.isfinite(reading[0, encoder]):
-                s['position'][p['encoder_coordinate'][encoder]] = reading[0, encoder] / per_unit
+    def _stand_where_measured(
+        self, state: np.ndarray, parameters: np.ndarray, step_s: float
+    ) -> None:
+        """Begin with the position and speed of the first readings."""
+        s, p = state[0], parameters[0]
+        reading = self.record.reading
+        for place in self._places:
+            rows = np.flatnonzero(np.isfinite(reading[:200, place]))
+            if len(rows) < 2:
+                continue
+            few = rows[:40]
+            slope, start = np.polyfit(few * step_s, reading[few, place], 1)
+            per_unit = p['counts_per_unit'][place]
+            coordinate = p['encoder_coordinate'][place]
+            if abs(slope) * (few[-1] - few[0]) * step_s < 3.0:  # it stands
+                slope, start = 0.0, float(np.mean(reading[few, place]))
+            s['position'][coordinate] = start / per_unit
+            s['velocity'][coordinate] = slope / per_unit
+        encoders.fill_readings(s, p)
 
 
 @compiled
-def _drive(state, parameters, force, rows, divider, gains, reading, no_voltage, innovation):
+def _drive(
+    state, parameters, line_current, half_count, divider, gains, reading, no_voltage, innovation
+):
     """
-    Drive the plant by `force` (n, 3) on the coordinates `rows` (3,); fill `innovation`.
+    Drive the plant by measured line currents (n, 6); fill `innovation` (n / divider, 4), counts.
 
-    `reading` float64 (n / divider, 4) measured counts at the tick of the reading, NaN where missing;
-    `innovation` likewise. Returns the coordinate for which the simulation blew up, or -1.
+    `reading` likewise: published counts, NaN where missing; `half_count` is added to them, because
+    counts are rounded down. Returns the coordinate for which the simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
-    for tick in range(force.shape[0]):
+    seen = np.zeros((LONGEST_DELAY, reading.shape[1]))
+    for encoder in range(reading.shape[1]):
+        if p['counts_per_unit'][encoder] != 0.0:
+            now = encoders.seen_counts(s, p, encoder)
+            for row in range(LONGEST_DELAY):
+                seen[row, encoder] = now
+    for motor in range(motors.MOTORS):
+        s['terminals_open'][motor] = 1
+    for tick in range(line_current.shape[0]):
         if tick % divider == 0 and tick // divider < reading.shape[0]:
             row = tick // divider
             for encoder in range(reading.shape[1]):
                 per_unit = p['counts_per_unit'][encoder]
                 if per_unit == 0.0:
                     continue
-                coordinate = p['encoder_coordinate'][encoder]
-                error = reading[row, encoder] - per_unit * s['position'][coordinate]
+                coarseness = p['coarseness'][encoder]
+                now = encoders.seen_counts(s, p, encoder)
+                if coarseness > 1.0:
+                    now = coarseness * np.floor(now / coarseness) + half_count
+                seen[row % LONGEST_DELAY, encoder] = now
+                late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
+                error = reading[row, encoder] + half_count - seen[late, encoder]
                 if error != error:
                     continue
                 innovation[row, encoder] = error
+                coordinate = p['encoder_coordinate'][encoder]
                 s['position'][coordinate] += gains[0, encoder] * error / per_unit
                 s['velocity'][coordinate] += gains[1, encoder] * error / per_unit
-        for place in range(len(rows)):
-            s['external_force'][rows[place]] = 0.0
-        for place in range(len(rows)):
-            s['external_force'][rows[place]] += force[tick, place]
+        for row in range(len(s['external_force'])):
+            s['external_force'][row] = 0.0
+        for motor in range(motors.MOTORS):
+            first = line_current[tick, 2 * motor]
+            if p['winding'][motor] == motors.NONE or first != first:
+                continue
+            first = current_sensors.true_current(p, motor, 0, first)
+            second = current_sensors.true_current(p, motor, 1, line_current[tick, 2 * motor + 1])
+            coordinate = p['motor_coordinate'][motor]
+            ratio = p['motor_ratio'][motor]
+            middle = s['position'][coordinate] + 0.5 * p['step'] * s['velocity'][coordinate]
+            angle = p['electrical_gain'][motor] * ratio * middle
+            force = motors.force_of_line_currents(p, motor, angle, first, second)
+            s['external_force'][coordinate] += ratio * force
         if tick % 180 == 0:
             coordinate = plant.runaway(state)
             if coordinate >= 0:

@@ -62,7 +62,7 @@ class Problem:
         self.records = tuple(records)
         self.blocks: dict[str, list[BlockOfLog]] = {PLANT: [], CONTROLLER: [], DRIVE: []}
         for record in records:
-            self.blocks[PLANT].append(PlantBlock(record))
+            self.blocks[PLANT].append(PlantBlock(record, nominal))
             if record.commanded is not None and record.command is not None:
                 self.blocks[CONTROLLER].append(ControllerBlock(record, nominal))
 

@@ -7,7 +7,7 @@ From residuals to causes.
 3. **Decide.** The best one is taken if the logarithm of its likelihood pays for its parameters and for
    the number M of effects that were tried,
 
-       2 (ln L_1 - ln L_0) > k ln N + 2 ln M,
+       2 (ln L_1 - ln L_0) > k ln N + 4 ln M,
 
    and if the logs kept for judging, with another motion, become more likely too.
 4. Again from 1 until nothing is taken. Then each cause is taken out in turn, to see whether the others
@@ -24,6 +24,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.signal import lfilter
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes, moved
@@ -51,8 +52,14 @@ MOST_CAUSES = 6
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""
 
-CONFIRMS = 4.0
-"""Gain in 2 ln L that a cause must have in the logs kept for judging, where nothing is fitted."""
+TELLS = 15.0
+"""Gain in 2 ln L that a log must be able to show for it to judge a cause."""
+
+CONFIRMS, SHARE = 4.0, 0.2
+"""
+Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
+first, and this share of what it should have.
+"""
 
 
 @dataclass
@@ -148,7 +155,7 @@ def _fit_best(
 def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
     """Return what `more` has to gain in 2 ln L over `fewer`."""
     extra = more.parameters - fewer.parameters
-    return extra * math.log(max(more.samples, 2)) + 2.0 * math.log(max(tried, 1))
+    return extra * math.log(max(more.samples, 2)) + 4.0 * math.log(max(tried, 1))
 
 
 def _take_best(
@@ -157,18 +164,25 @@ def _take_best(
     """Take the best fitted hypothesis that pays for itself and is confirmed, if there is one."""
     base = state.found
     for item in fitted:
-        gain = 2.0 * (item.log_likelihood - base.log_likelihood)
-        if gain < price(item, base, state.tried):
+        needed = price(item, base, state.tried)
+        if 2.0 * (item.log_likelihood - base.log_likelihood) < needed:
             continue
         try:
             judged = evaluate(judging, item.causes)
-            commanded = [caused_by_command(one, base, item) for one in (finding, judging)]
+            in_finding = caused_by_command(finding, base, item)
+            in_judging = caused_by_command(judging, base, item)
         except UserError:
             continue
-        if commanded[0] < price(item, base, state.tried) or commanded[1] < CONFIRMS:
+        if in_finding.gain < needed:
             continue
-        if 2.0 * (judged.log_likelihood - state.judged.log_likelihood) < CONFIRMS:
-            continue
+        if in_judging.expected < TELLS:
+            # That motion does not show the effect: what was found must be beyond doubt by itself.
+            if in_finding.gain < needed + TELLS:
+                continue
+        else:
+            confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
+            if min(confirmed, in_judging.gain) < max(CONFIRMS, SHARE * in_judging.expected):
+                continue
         name = item.causes[-1].name
         state.gains[name] = base.information_criterion - item.information_criterion
         state.rivals[name] = [
@@ -181,30 +195,47 @@ def _take_best(
     return False
 
 
-def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> float:
+@dataclass(frozen=True)
+class ByCommand:
+    """What a cause gains in 2 ln L by what the command makes it do, and what it should gain."""
+
+    gain: float
+    expected: float
+
+
+def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> ByCommand:
     """
-    Return what the last cause of `more` gains in 2 ln L by what the command made it do alone.
+    Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
 
     Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base`.
     Infinite if the logs do not say what was commanded, so that this cannot be asked.
     """
     ideal = problem.ideal(more.causes)
     if ideal is None:
-        return math.inf
+        return ByCommand(math.inf, math.inf)
+    cause = more.causes[-1]
     here = evaluate(problem, base.causes)
     there = evaluate(ideal, more.causes)
     own = signature(ideal, there, more.causes, len(more.causes) - 1)
-    gain = 0.0
+    change = np.array(
+        [cause.values[item.name] - item.neutral for item in parameters_of(problem, cause)]
+    )
+    shape = np.array([item.shape for item in parameters_of(problem, cause)])
+    change[shape] = 0.0
+    gain = expected = 0.0
     for block, matrix in own.items():
         if not matrix.any():
             continue
         channels = here.residuals[block]
         ends = np.cumsum([len(channel) for channel in channels])[:-1]
-        estimate = fit(
-            channels, np.split(matrix, ends), problem.floors(block), problem.orders(block)
-        )
+        parts = np.split(matrix, ends)
+        estimate = fit(channels, parts, problem.floors(block), problem.orders(block))
         gain += 2.0 * (estimate.log_likelihood - here.fits[block].log_likelihood)
-    return gain
+        for part, taps, deviation in zip(
+            parts, estimate.filters, estimate.deviations, strict=True
+        ):
+            expected += float(np.sum((lfilter(taps, 1.0, part @ change) / deviation) ** 2))
+    return ByCommand(gain, expected)
 
 
 def _take_out(finding: Problem, judging: Problem, state: Search) -> None:

@@ -77,8 +77,9 @@ def fit(
     """
     Fit the signatures (N, k) of all channels to their residuals (N,).
 
-    `orders` are those of the autoregression, 0 for white noise; `floors` are the smallest standard deviations of white noise that each channel can have (that of
-    its resolution): a perfect fit is not infinitely likely.
+    `orders` are those of the autoregression, 0 for white noise; `floors` are the smallest standard
+    deviations of white noise that each channel can have (that of its resolution): a perfect fit is
+    not infinitely likely.
     """
     count = signatures[0].shape[1]
     value = np.zeros(count)
