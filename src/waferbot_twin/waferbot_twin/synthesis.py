@@ -5,7 +5,7 @@ Logs as a real machine would give them: the twin with hidden effects, noise and 
 The log holds what a machine's logger sees, and nothing that tells the truth: no model, no effects, no
 seed, no noise-free positions. What was hidden is returned beside it.
 
-Noise, at level 1: forces on every axis, coloured (a first-order low-pass at 3 to 60 Hz, drawn) with 0.3 %
+Noise, at level 1: coloured forces on every axis (a first-order low-pass at 3 to 60 Hz, drawn), 0.3 %
 of the rated force; a third of a count on every encoder; 3 mA on every measured line current.
 """
 

@@ -98,6 +98,6 @@ def _list(options: argparse.Namespace) -> int:
     for column in table.columns:
         column.justify = 'left'
     for row in rows:
-        table.add_row(row["effect"], row["block"], " ".join(row["axes"]) or "-", row["summary"])
+        table.add_row(row['effect'], row['block'], ' '.join(row['axes']) or '-', row['summary'])
     result_console.print(table)
     return 0

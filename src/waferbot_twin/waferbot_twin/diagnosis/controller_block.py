@@ -38,6 +38,7 @@ class ControllerBlock:
             for place, axis in enumerate(AXES)
             if variant.pmac.get(axis) and np.isfinite(record.command[:, place]).all()
         ]
+        self.channels = [AXES[place] for place in self._axes]
         per_bit = (
             servo_parameters(variant.pmac, variant.name)[0]['amplifier_peak_current'] / 32768.0
         )

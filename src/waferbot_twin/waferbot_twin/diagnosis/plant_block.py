@@ -60,12 +60,8 @@ class PlantBlock:
             if name in variant.description.encoders
             and np.isfinite(record.reading[:, place]).mean() > 0.5
         ]
+        self.channels = [ENCODERS[place] for place in self._places]
         self.floors = [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(self._places)
-
-    @property
-    def channels(self) -> list[str]:
-        """Name of the encoder behind every channel."""
-        return [ENCODERS[place] for place in self._places]
 
     def residuals(self, variant: Variant) -> list[Array]:
         """

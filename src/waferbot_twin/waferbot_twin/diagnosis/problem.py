@@ -26,6 +26,7 @@ class BlockOfLog(Protocol):
 
     floors: list[float]
     order: int
+    channels: list[str]
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the residual of every channel."""
@@ -100,6 +101,10 @@ class Problem:
     def orders(self, block: str) -> list[int]:
         """Return the order of the autoregression that whitens every channel of a block."""
         return [part.order for part in self.blocks[block] for _ in part.floors]
+
+    def channel_names(self, block: str) -> list[str]:
+        """Return the name of every channel of a block, log by log."""
+        return [name for part in self.blocks[block] for name in part.channels]
 
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block."""
