@@ -20,8 +20,9 @@ x_before that at the one before, the reading is made in this order:
 - `scale_error`: relative, -. `eccentricity`: amplitude and period in m or rad of the coordinate; one
   period per turn of a disc that sits off its axis; the error has its peak at phi = 2 pi u / P.
 - `interpolation`: cyclic error of the interpolator, in counts over one signal period of Q counts.
-- `delay_fraction`: a straight line between two readings, so exact for constant speed; half a cycle
-  of it also halves the signal at half the phase rate. `extra_delay_cycles`: whole cycles more.
+- `delay_fraction`: a straight line between two readings, so exact for constant speed; motion of
+  frequency F is also weakened, most by half a cycle: by cos(pi F / phase rate), 0.5 % at 300 Hz and
+  9 kHz. `extra_delay_cycles`: whole cycles more.
 - `noise_counts`: rms of white noise, a new value at each encoder tick.
 - `lost_counts`: whenever the position passes a mark, in either direction, so many counts are lost
   for good. The marks lie at 1/2, 3/2, ... of the spacing on both sides of zero, so that home is not

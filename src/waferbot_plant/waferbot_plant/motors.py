@@ -44,9 +44,9 @@ All are off unless the description names them, and act on k s_w, so on force and
   In a wye the EMFs then need not sum to zero and the star point moves: only what differs from the
   mean of the three acts. In a delta they drive a current round the triangle, which brakes.
 - `saturation_current_a`: g(I) = 1 / sqrt(1 + (I / I_s)^2), I the amplitude of the line currents, A.
-  At I_s the force is 0.71 of the linear one; it never exceeds the linear one at I_s. Froehlich's
-  saturation curve has the power 1 in place of 2 and 1/2, and a kink at zero. I is that expected at
-  the middle of the step.
+  At I_s the force is 0.71 of the linear one; it never exceeds the linear one at I_s. Like
+  Froehlich's saturation curve, 1 / (1 + |I| / I_s), but without its kink at zero. I is that expected
+  at the middle of the step.
 
 Power is conserved with each of them, as force and EMF share their factor: electrical energy =
 copper loss + mechanical work + energy in the windings, to rounding. What saturation leaves out: the
