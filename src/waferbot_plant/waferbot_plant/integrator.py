@@ -56,6 +56,14 @@ from waferbot_plant.friction_laws import (
 )
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
 from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
+from waferbot_plant.spring_laws import (
+    ROUNDS,
+    add_laws,
+    book_laws,
+    laws_fit,
+    linearised_force,
+    predict_laws,
+)
 
 
 def state_fields(coordinates: int) -> list[tuple]:
@@ -73,6 +81,7 @@ def state_fields(coordinates: int) -> list[tuple]:
         ('external_force', 'f8', (coordinates,)),
         ('external_work', 'f8'),
         ('middle_position', 'f8', (coordinates,)),
+        ('end_position', 'f8', (coordinates,)),
         ('middle_velocity', 'f8', (coordinates,)),
         ('right', 'f8', (coordinates,)),
         ('factors', 'f8', (coordinates, coordinates)),
@@ -120,8 +129,11 @@ def advance_step(s, p, voltage, step):
     else:
         limit_friction(s, p, mean)
 
-    _find_velocity_change(s, p, step)
-    _let_cables_change(s, p, step)
+    if s['any_spring_law']:
+        _find_step_with_laws(s, p, step)
+    else:
+        _find_velocity_change(s, p, step)
+        _let_cables_change(s, p, step)
 
     for row in range(size):
         mean[row] = velocity[row] + 0.5 * change[row]
@@ -129,6 +141,8 @@ def advance_step(s, p, voltage, step):
         velocity[row] += change[row]
         s['external_work'] += s['external_force'][row] * mean[row] * step
     book_springs(s, p, mean, step)
+    if s['any_spring_law']:
+        book_laws(s, p, position, middle, step)
     book_cables(s, p, position, middle, mean, step)
     if s['any_friction_law']:
         book_lawful_frictions(s, p, mean, step)
@@ -143,6 +157,32 @@ def advance_step(s, p, voltage, step):
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
         position[row] = middle[row]
+
+
+@compiled
+def _find_step_with_laws(s, p, step):
+    """
+    Find the step where springs are not linear, by Newton's method about the end of the step.
+
+    In each round friction and cables are found anew. Ends when every spring's force is that of its
+    law to rounding; the rounds are bounded, and what is then missing is booked with the loss.
+    """
+    position = s['position']
+    middle = s['middle_position']
+    mean = s['middle_velocity']
+    end = s['end_position']
+    for row in range(len(position)):
+        end[row] = position[row] + step * mean[row]
+    predict_laws(s, p, position, end, step)
+    for place in range(ROUNDS):
+        _find_velocity_change(s, p, step)
+        _let_cables_change(s, p, step)
+        for row in range(len(position)):
+            mean[row] = s['velocity'][row] + 0.5 * s['velocity_change'][row]
+            end[row] = position[row] + step * mean[row]
+        if laws_fit(s, p, position, end, mean, step, place == ROUNDS - 1):
+            return
+        judge_cables(s, p, middle, mean)
 
 
 @compiled
@@ -203,6 +243,8 @@ def _solve_with_friction(s, p, step):
         for column in range(row + 1):
             factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
+    if s['any_spring_law']:
+        add_laws(s, p, factors, change, velocity, step)
     for row in range(size):
         if s['sliding'][row] != 0:
             s['friction_force'][row] = (
@@ -253,6 +295,26 @@ def _missing_force(s, p, row, step):
             arm += p['cable_second_ratio'][cable]
         if arm != 0.0:
             force += arm * _cable_tension(s, p, cable, step)
+    if s['any_spring_law']:
+        force += _force_of_laws(s, p, row, step)
+    return force
+
+
+@compiled
+def _force_of_laws(s, p, row, step):
+    """Return what the springs with laws take from a row, with the present dz', N or Nm."""
+    force = 0.0
+    mean = s['middle_velocity']
+    for other in range(len(mean)):
+        mean[other] = s['velocity'][other] + 0.5 * s['velocity_change'][other]
+    for spring in range(len(p['spring_gap'])):
+        if s['spring_lawful'][spring]:
+            if p['spring_first'][spring] == row:
+                force += s['spring_arm_first'][spring] * linearised_force(s, p, spring, mean, step)
+            if p['spring_second'][spring] == row and s['spring_arm_second'][spring] != 0.0:
+                force += s['spring_arm_second'][spring] * linearised_force(
+                    s, p, spring, mean, step
+                )
     return force
 
 

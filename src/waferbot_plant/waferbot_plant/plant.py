@@ -37,6 +37,7 @@ from waferbot_plant import (
     integrator,
     motors,
     multibody,
+    spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
@@ -72,6 +73,7 @@ def advance(state, parameters, voltage):
     p = parameters[0]
     constraints.find_held(s, p)
     friction_laws.find_friction_laws(s, p)
+    spring_laws.find_spring_laws(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
@@ -134,6 +136,7 @@ def generalised_forces(state, parameters, result):
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     for row in range(len(result)):
         result[row] = -s['bias'][row]
+    spring_laws.find_spring_laws(s, p)
     elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
     disturbances.add_instant_disturbances(s, p, s['position'], s['velocity'], result)
 
@@ -176,6 +179,7 @@ def energy(state, parameters, result):
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     result[0] = multibody.kinetic_energy(s, p, s['velocity'])
     result[1] = multibody.gravity_energy(s, p)
+    spring_laws.find_spring_laws(s, p)
     result[2] = elements.elastic_energy(s, p, s['position'])
     result[2] += disturbances.stored_in_periodic(p, s['position'])
     result[2] += friction_laws.stored_in_bristles(s, p)
@@ -217,6 +221,7 @@ class Machine:
                 *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
                 *disturbances.PARAMETER_FIELDS,
                 *friction_laws.parameter_fields(self._sizes['frictions']),
+                *spring_laws.parameter_fields(self._sizes['springs']),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
@@ -239,6 +244,7 @@ class Machine:
                 *constraints.state_fields(size),
                 *disturbances.state_fields(size),
                 *friction_laws.state_fields(self._sizes['frictions'], size),
+                *spring_laws.state_fields(self._sizes['springs']),
             ],
             align=True,
         )
@@ -305,6 +311,11 @@ class Machine:
         """Write springs, cables and frictions."""
         _fill_two_sided(p, 'spring', self.assembly.springs)
         _fill_two_sided(p, 'cable', self.assembly.cables)
+        p['spring_slack_force'] = p['spring_slip'] = np.inf
+        p['spring_slack_slope'] = 1.0
+        for place, spring in enumerate(self.assembly.springs):
+            for name, value in spring.law.items():
+                p[f'spring_{name}'][place] = value
         p['friction_points'] = 1
         for place, friction in enumerate(self.description.frictions.values()):
             points = len(friction.speeds)
