@@ -295,10 +295,11 @@ def give_friction_to_leaders(s):
 @compiled
 def book_frictions(s, p, mean_speed, step):
     """Add the step's friction loss to the ledgers, shared among a coordinate's frictions."""
+    any_held = s['any_held']
     for friction in range(len(p['friction_coordinate'])):
         coordinate = p['friction_coordinate'][friction]
         share = s['friction_now'][friction]
-        if s['any_held']:
+        if any_held:
             share *= abs(s['leader_ratio'][coordinate])
             coordinate = s['leader'][coordinate]
         total = s['sliding_friction'][coordinate]

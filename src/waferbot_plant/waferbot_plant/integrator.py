@@ -16,6 +16,8 @@ electrical angles are taken at z + h/2 z' and the speed expected from the last s
   stored plus energy lost to rounding for the linear part (springs, windings, force times speed of
   the motors), and to second order in h for the rest. An oscillation of frequency f comes out low
   by (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
+- Springs that are not linear are found with dz' too, by rounds of Newton's method in which friction
+  and cables are found anew; there are none of these rounds where all springs are linear.
 - Dry friction is found with dz', not before it: a coordinate is stuck if some force within its
   limits holds it, and then its speed is zero exactly; otherwise friction acts with full strength
   against the speed. So a coordinate comes to rest within the step and there is no creep and no
@@ -59,10 +61,10 @@ from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
 from waferbot_plant.spring_laws import (
     ROUNDS,
     add_laws,
+    begin_rounds,
     book_laws,
-    laws_fit,
+    end_round,
     linearised_force,
-    predict_laws,
 )
 
 
@@ -129,11 +131,15 @@ def advance_step(s, p, voltage, step):
     else:
         limit_friction(s, p, mean)
 
-    if s['any_spring_law']:
-        _find_step_with_laws(s, p, step)
-    else:
+    any_spring_law = s['any_spring_law']
+    if any_spring_law:
+        begin_rounds(s, p, step)
+    for place in range(ROUNDS):
         _find_velocity_change(s, p, step)
         _let_cables_change(s, p, step)
+        if not any_spring_law or end_round(s, p, step, place == ROUNDS - 1):
+            break
+        judge_cables(s, p, middle, mean)
 
     for row in range(size):
         mean[row] = velocity[row] + 0.5 * change[row]
@@ -157,32 +163,6 @@ def advance_step(s, p, voltage, step):
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
         position[row] = middle[row]
-
-
-@compiled
-def _find_step_with_laws(s, p, step):
-    """
-    Find the step where springs are not linear, by Newton's method about the end of the step.
-
-    In each round friction and cables are found anew. Ends when every spring's force is that of its
-    law to rounding; the rounds are bounded, and what is then missing is booked with the loss.
-    """
-    position = s['position']
-    middle = s['middle_position']
-    mean = s['middle_velocity']
-    end = s['end_position']
-    for row in range(len(position)):
-        end[row] = position[row] + step * mean[row]
-    predict_laws(s, p, position, end, step)
-    for place in range(ROUNDS):
-        _find_velocity_change(s, p, step)
-        _let_cables_change(s, p, step)
-        for row in range(len(position)):
-            mean[row] = s['velocity'][row] + 0.5 * s['velocity_change'][row]
-            end[row] = position[row] + step * mean[row]
-        if laws_fit(s, p, position, end, mean, step, place == ROUNDS - 1):
-            return
-        judge_cables(s, p, middle, mean)
 
 
 @compiled

@@ -45,6 +45,8 @@ from waferbot_plant.description import Description, load_description
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
 
+_LOOK_AGAIN = 64
+
 
 @compiled
 def measure(state, parameters, tick, counts, line_currents):
@@ -62,6 +64,20 @@ def measure(state, parameters, tick, counts, line_currents):
 
 
 @compiled
+def find_imperfections(s, p):
+    """
+    Find which parts of the model the parameters ask for: held coordinates, laws of friction and
+    of springs.
+
+    `advance` does so at the start of a run and then at least every 64 ticks, which is when a change
+    of these parameters in a running machine is noticed; a plain machine does not pay for looking.
+    """
+    constraints.find_held(s, p)
+    friction_laws.find_friction_laws(s, p)
+    spring_laws.find_spring_laws(s, p)
+
+
+@compiled
 def advance(state, parameters, voltage):
     """
     Advance the machine by one tick.
@@ -71,9 +87,8 @@ def advance(state, parameters, voltage):
     """
     s = state[0]
     p = parameters[0]
-    constraints.find_held(s, p)
-    friction_laws.find_friction_laws(s, p)
-    spring_laws.find_spring_laws(s, p)
+    if s['steps'] & (_LOOK_AGAIN - 1) == 0:
+        find_imperfections(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
@@ -219,13 +234,13 @@ class Machine:
                 *multibody.parameter_fields(links, size),
                 *elements.parameter_fields(**self._sizes),
                 *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
-                *disturbances.PARAMETER_FIELDS,
                 *friction_laws.parameter_fields(self._sizes['frictions']),
                 *spring_laws.parameter_fields(self._sizes['springs']),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
                 ('axis_ratio', 'f8', (len(AXES),)),
+                *disturbances.PARAMETER_FIELDS,
             ],
             align=True,
         )

@@ -261,11 +261,15 @@ def _linearise(s, p, spring, position, end_position, step):
 
 
 @compiled
-def predict_laws(s, p, position, end_position, step):
+def begin_rounds(s, p, step):
     """Linearise all springs with a law about the end of the step expected from the last one."""
+    position = s['position']
+    end = s['end_position']
+    for row in range(len(position)):
+        end[row] = position[row] + step * s['middle_velocity'][row]
     for spring in range(len(p['spring_gap'])):
         if s['spring_lawful'][spring]:
-            _linearise(s, p, spring, position, end_position, step)
+            _linearise(s, p, spring, position, end, step)
 
 
 @compiled
@@ -304,12 +308,19 @@ def linearised_force(s, p, spring, mean, step):
 
 
 @compiled
-def laws_fit(s, p, position, end_position, mean, step, last):
+def end_round(s, p, step, last):
     """
     Return whether the step that was found bears its linearisations out; if not, linearise again.
 
-    The force used is noted for the books. On the `last` round the linearisation is kept.
+    The force used is noted for the books. On the `last` round the linearisation is kept, and what is
+    missing is booked with the loss.
     """
+    position = s['position']
+    end = s['end_position']
+    mean = s['middle_velocity']
+    for row in range(len(position)):
+        mean[row] = s['velocity'][row] + 0.5 * s['velocity_change'][row]
+        end[row] = position[row] + step * mean[row]
     fit = True
     for spring in range(len(p['spring_gap'])):
         if s['spring_lawful'][spring]:
@@ -318,7 +329,7 @@ def laws_fit(s, p, position, end_position, mean, step, last):
             if last:
                 continue
             a, b = s['spring_arm_first'][spring], s['spring_arm_second'][spring]
-            _linearise(s, p, spring, position, end_position, step)
+            _linearise(s, p, spring, position, end, step)
             turned = abs(s['spring_arm_first'][spring] - a) + abs(
                 s['spring_arm_second'][spring] - b
             )
