@@ -46,7 +46,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import imperfections, part_library
-from waferbot_plant.imperfections import Disturbance, Vibration
+from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
@@ -148,6 +148,7 @@ class Transmission:
     driving: str
     driven: str
     stages: tuple[Stage, ...]
+    error: TransmissionError | None = None
 
     @property
     def ratio(self) -> float:
@@ -169,7 +170,10 @@ class Connection:
     becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
     the coordinates `free` may follow; in a joint, all others are held.
 
-    One that is neither `flexible` nor `held` is rigid.
+    One that is neither `flexible` nor `held` is rigid. The rest is what makes it more than a
+    linear spring, in its own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2
+    or 1/rad2, `slip` in N or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m
+    beyond home, and `rope_mass` in kg. None: never.
     """
 
     name: str
@@ -180,6 +184,12 @@ class Connection:
     loss_factor: float | None
     free: tuple[str, ...]
     held: bool = False
+    gap: float = 0.0
+    hardening: float = 0.0
+    slip: float | None = None
+    slack_preload: float | None = None
+    slack: float = 0.0
+    rope_mass: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -719,7 +729,13 @@ class _Reader:
             raise self.document.error(
                 (*key, 'driven'), f'the last stage moves by {kind}, this coordinate does not'
             )
-        transmission = Transmission(name, value['driving'], value['driven'], tuple(stages))
+        transmission = Transmission(
+            name,
+            value['driving'],
+            value['driven'],
+            tuple(stages),
+            imperfections.read_transmission_error(self, key, value),
+        )
         if transmission.pulls_only and len(stages) > 1:
             raise self.document.error((*key, 'stages'), 'a cable must be a transmission by itself')
         return transmission
@@ -784,12 +800,14 @@ class _Reader:
             for held_by in freedom.connections
             if held_by == name
         ]
+        stage_kind = None
         for transmission in transmissions.values():
             revolute = self.revolute[transmission.driving]
             for stage in transmission.stages:
                 revolute = revolute and stage.kind != 'rack'
                 if stage.connection == name:
                     uses.append(revolute and stage.kind != 'belt')
+                    stage_kind = stage.kind
         if len(uses) != 1:
             raise self.document.error(
                 key, f'is used in {len(uses)} places; a connection is one part in one place'
@@ -801,18 +819,19 @@ class _Reader:
             for place, coordinate in enumerate(value.get('first_frequency_with', ()))
         )
         flexible, held = value['state'] == 'flexible', value['state'] == 'held'
+        law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, held)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):
             raise self.document.error(key, f'give either loss_factor or {names[rotary]}')
         if 'loss_factor' in value:
             loss = float(value['loss_factor'])
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, held)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
         damping = float(self.quantity(key, rotary, *names))
-        return Connection(name, flexible, rotary, stiffness, damping, None, free, held)
+        return Connection(name, flexible, rotary, stiffness, damping, None, free, held, **law)
 
     def stiffness_of_part(
         self, key: Key, value: dict[str, Any], rotary: bool

@@ -57,6 +57,20 @@ class Vibration:
     phase: float = 0.0
 
 
+@dataclass(frozen=True)
+class TransmissionError:
+    """
+    By how much the driven end stands ahead: amplitude (m, rad) times cos(order angle - phase).
+
+    `order` is per turn of the driving coordinate, or of the driven one if `of_driven`.
+    """
+
+    amplitude: float
+    order: float
+    phase: float
+    of_driven: bool
+
+
 _KEYS = {
     'constant': {'force_n', 'torque_nm'},
     'periodic': {
@@ -153,6 +167,67 @@ def read_vibration(reader: _Reader) -> Vibration:
         float(value['frequency_hz']),
         float(value.get('phase_rad', 0.0)),
     )
+
+
+def read_transmission_error(
+    reader: _Reader, key: Key, value: dict[str, Any]
+) -> TransmissionError | None:
+    """Read the error of a transmission; only a spring in it can take it up."""
+    if 'transmission_error' not in value:
+        return None
+    inner = (*key, 'transmission_error')
+    error = value['transmission_error']
+    of = error.get('of', 'driving')
+    if not reader.revolute[value[of]]:
+        raise reader.document.error(
+            (*inner, 'of'), f'the {of} coordinate is a length; an order is per turn of an angle'
+        )
+    states = [
+        reader.section('connections')[stage['connection']]['state']
+        for stage in value['stages']
+        if 'connection' in stage
+    ]
+    if 'flexible' not in states or any(stage['kind'] == 'cable' for stage in value['stages']):
+        raise reader.document.error(
+            inner, 'needs a flexible connection in the transmission, and none that only pulls'
+        )
+    amplitude = reader.quantity(
+        inner, reader.revolute[value['driven']], 'amplitude_m', 'amplitude_rad'
+    )
+    return TransmissionError(
+        float(amplitude), float(error['order']), float(error.get('phase_rad', 0.0)), of == 'driven'
+    )
+
+
+_LAW_KEYS = {
+    'gap': ('gap_m', 'gap_rad'),
+    'hardening': ('hardening_1_m2', 'hardening_1_rad2'),
+    'slip': ('slip_force_n', 'slip_torque_nm'),
+}
+
+
+def read_spring_law(
+    reader: _Reader, key: Key, rotary: bool, stage_kind: str | None
+) -> dict[str, Any]:
+    """Return what a connection says beyond its stiffness, by the names of `Connection`."""
+    value = reader.data['connections'][key[1]]
+    law: dict[str, Any] = {}
+    for name, keys in _LAW_KEYS.items():
+        for given in keys:
+            if given in value and stage_kind == 'cable':
+                raise reader.document.error((*key, given), 'a cable has slack_m instead')
+        if keys[0] in value or keys[1] in value:
+            law[name] = float(reader.quantity(key, rotary, *keys))
+    for given, name, kind in (
+        ('slack_preload_n', 'slack_preload', 'belt'),
+        ('slack_m', 'slack', 'cable'),
+        ('rope_mass_kg', 'rope_mass', 'cable'),
+    ):
+        if given in value:
+            if stage_kind != kind:
+                raise reader.document.error((*key, given), f'only a {kind} has that')
+            law[name] = float(value[given])
+    return law
 
 
 def read_friction_law(reader: _Reader, key: Key, revolute: bool) -> dict[str, float]:

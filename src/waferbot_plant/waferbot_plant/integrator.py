@@ -16,6 +16,8 @@ electrical angles are taken at z + h/2 z' and the speed expected from the last s
   stored plus energy lost to rounding for the linear part (springs, windings, force times speed of
   the motors), and to second order in h for the rest. An oscillation of frequency f comes out low
   by (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
+- Springs that are not linear are found with dz' too, by rounds of Newton's method in which friction
+  and cables are found anew; there are none of these rounds where all springs are linear.
 - Dry friction is found with dz', not before it: a coordinate is stuck if some force within its
   limits holds it, and then its speed is zero exactly; otherwise friction acts with full strength
   against the speed. So a coordinate comes to rest within the step and there is no creep and no
@@ -56,6 +58,14 @@ from waferbot_plant.friction_laws import (
 )
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
 from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
+from waferbot_plant.spring_laws import (
+    ROUNDS,
+    add_laws,
+    begin_rounds,
+    book_laws,
+    end_round,
+    linearised_force,
+)
 
 
 def state_fields(coordinates: int) -> list[tuple]:
@@ -73,6 +83,7 @@ def state_fields(coordinates: int) -> list[tuple]:
         ('external_force', 'f8', (coordinates,)),
         ('external_work', 'f8'),
         ('middle_position', 'f8', (coordinates,)),
+        ('end_position', 'f8', (coordinates,)),
         ('middle_velocity', 'f8', (coordinates,)),
         ('right', 'f8', (coordinates,)),
         ('factors', 'f8', (coordinates, coordinates)),
@@ -120,8 +131,15 @@ def advance_step(s, p, voltage, step):
     else:
         limit_friction(s, p, mean)
 
-    _find_velocity_change(s, p, step)
-    _let_cables_change(s, p, step)
+    any_spring_law = s['any_spring_law']
+    if any_spring_law:
+        begin_rounds(s, p, step)
+    for place in range(ROUNDS):
+        _find_velocity_change(s, p, step)
+        _let_cables_change(s, p, step)
+        if not any_spring_law or end_round(s, p, step, place == ROUNDS - 1):
+            break
+        judge_cables(s, p, middle, mean)
 
     for row in range(size):
         mean[row] = velocity[row] + 0.5 * change[row]
@@ -129,6 +147,8 @@ def advance_step(s, p, voltage, step):
         velocity[row] += change[row]
         s['external_work'] += s['external_force'][row] * mean[row] * step
     book_springs(s, p, mean, step)
+    if s['any_spring_law']:
+        book_laws(s, p, position, middle, step)
     book_cables(s, p, position, middle, mean, step)
     if s['any_friction_law']:
         book_lawful_frictions(s, p, mean, step)
@@ -203,6 +223,8 @@ def _solve_with_friction(s, p, step):
         for column in range(row + 1):
             factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
+    if s['any_spring_law']:
+        add_laws(s, p, factors, change, velocity, step)
     for row in range(size):
         if s['sliding'][row] != 0:
             s['friction_force'][row] = (
@@ -253,6 +275,26 @@ def _missing_force(s, p, row, step):
             arm += p['cable_second_ratio'][cable]
         if arm != 0.0:
             force += arm * _cable_tension(s, p, cable, step)
+    if s['any_spring_law']:
+        force += _force_of_laws(s, p, row, step)
+    return force
+
+
+@compiled
+def _force_of_laws(s, p, row, step):
+    """Return what the springs with laws take from a row, with the present dz', N or Nm."""
+    force = 0.0
+    mean = s['middle_velocity']
+    for other in range(len(mean)):
+        mean[other] = s['velocity'][other] + 0.5 * s['velocity_change'][other]
+    for spring in range(len(p['spring_gap'])):
+        if s['spring_lawful'][spring]:
+            if p['spring_first'][spring] == row:
+                force += s['spring_arm_first'][spring] * linearised_force(s, p, spring, mean, step)
+            if p['spring_second'][spring] == row and s['spring_arm_second'][spring] != 0.0:
+                force += s['spring_arm_second'][spring] * linearised_force(
+                    s, p, spring, mean, step
+                )
     return force
 
 

@@ -39,12 +39,15 @@ from waferbot_plant import (
     integrator,
     motors,
     multibody,
+    spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
 
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
+
+_LOOK_AGAIN = 64
 
 
 @compiled
@@ -64,6 +67,20 @@ def measure(state, parameters, tick, counts, line_currents):
 
 
 @compiled
+def find_imperfections(s, p):
+    """
+    Find which parts of the model the parameters ask for: held coordinates, laws of friction and
+    of springs.
+
+    `advance` does so at the start of a run and then at least every 64 ticks, which is when a change
+    of these parameters in a running machine is noticed; a plain machine does not pay for looking.
+    """
+    constraints.find_held(s, p)
+    friction_laws.find_friction_laws(s, p)
+    spring_laws.find_spring_laws(s, p)
+
+
+@compiled
 def advance(state, parameters, voltage):
     """
     Advance the machine by one tick.
@@ -73,8 +90,8 @@ def advance(state, parameters, voltage):
     """
     s = state[0]
     p = parameters[0]
-    constraints.find_held(s, p)
-    friction_laws.find_friction_laws(s, p)
+    if s['steps'] & (_LOOK_AGAIN - 1) == 0:
+        find_imperfections(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
@@ -137,6 +154,7 @@ def generalised_forces(state, parameters, result):
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     for row in range(len(result)):
         result[row] = -s['bias'][row]
+    spring_laws.find_spring_laws(s, p)
     elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
     disturbances.add_instant_disturbances(s, p, s['position'], s['velocity'], result)
 
@@ -179,6 +197,7 @@ def energy(state, parameters, result):
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     result[0] = multibody.kinetic_energy(s, p, s['velocity'])
     result[1] = multibody.gravity_energy(s, p)
+    spring_laws.find_spring_laws(s, p)
     result[2] = elements.elastic_energy(s, p, s['position'])
     result[2] += disturbances.stored_in_periodic(p, s['position'])
     result[2] += friction_laws.stored_in_bristles(s, p)
@@ -218,13 +237,14 @@ class Machine:
                 *multibody.parameter_fields(links, size),
                 *elements.parameter_fields(**self._sizes),
                 *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
-                *disturbances.PARAMETER_FIELDS,
                 *friction_laws.parameter_fields(self._sizes['frictions']),
+                *spring_laws.parameter_fields(self._sizes['springs']),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
                 *current_sensors.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
                 ('axis_ratio', 'f8', (len(AXES),)),
+                *disturbances.PARAMETER_FIELDS,
             ],
             align=True,
         )
@@ -243,6 +263,7 @@ class Machine:
                 *constraints.state_fields(size),
                 *disturbances.state_fields(size),
                 *friction_laws.state_fields(self._sizes['frictions'], size),
+                *spring_laws.state_fields(self._sizes['springs']),
             ],
             align=True,
         )
@@ -313,6 +334,11 @@ class Machine:
         """Write springs, cables and frictions."""
         _fill_two_sided(p, 'spring', self.assembly.springs)
         _fill_two_sided(p, 'cable', self.assembly.cables)
+        p['spring_slack_force'] = p['spring_slip'] = np.inf
+        p['spring_slack_slope'] = 1.0
+        for place, spring in enumerate(self.assembly.springs):
+            for name, value in spring.law.items():
+                p[f'spring_{name}'][place] = value
         p['friction_points'] = 1
         for place, friction in enumerate(self.description.frictions.values()):
             points = len(friction.speeds)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import constraints, elements, motors, plant
+from waferbot_plant import constraints, elements, motors, plant, spring_laws
 from waferbot_plant.plant import Machine
 
 _ITERATIONS = 60
@@ -130,9 +130,11 @@ def reactions(
     Without those that are held, whose force does not follow from a deflection.
     """
     s, p = state[0], parameters[0]
+    constraints.find_held(s, p)
+    spring_laws.find_spring_laws(s, p)
     elements.judge_cables(s, p, s['position'], s['velocity'])
     found = {
-        element.name: elements.spring_force(p, place, s['position'], s['velocity'])
+        element.name: spring_laws.force_and_arms_now(s, p, place, s['position'], s['velocity'])[0]
         for place, element in enumerate(machine.assembly.springs)
         if element.connections and not p['spring_held'][place]
     }
@@ -143,12 +145,15 @@ def reactions(
 
 
 def elastic_stiffness(
-    machine: Machine, parameters: NDArray[np.void] | None = None
+    machine: Machine,
+    parameters: NDArray[np.void] | None = None,
+    state: NDArray[np.void] | None = None,
 ) -> NDArray[np.float64]:
     """
     Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad.
 
-    That of the description, or of `parameters` where given.
+    That of the description, or of `parameters` where given; with `state`, springs that are not linear
+    have their slope there.
     """
     p = (machine.parameters() if parameters is None else parameters)[0]
     size = len(machine.coordinates)
@@ -161,13 +166,17 @@ def elastic_stiffness(
             arms = np.zeros(size)
             for place, ratio in element.terms:
                 arms[place] += ratio
-            stiffness += p[f'{kind}_stiffness'][spring] * np.outer(arms, arms)
+            slope = p[f'{kind}_stiffness'][spring]
+            if state is not None and kind == 'spring':
+                slope = spring_laws.stiffness_now(state[0], p, spring, state[0]['position'])
+            stiffness += slope * np.outer(arms, arms)
     return stiffness
 
 
 def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[np.float64]:
     """Return z with the axes at their positions and what is driven or driving along with them."""
     position = np.zeros(len(machine.coordinates))
+    placing = machine.assembly.placing
     known = set()
     for axis, coordinate in machine.description.axes.items():
         place, ratio = machine.assembly.placing[coordinate]
@@ -187,6 +196,10 @@ def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[n
                     place, ratio = machine.assembly.placing[other]
                     position[place] = value / ratio
                     known.add(other)
+    for cable in machine.assembly.cables:
+        (driving, ratio), (rope, _) = cable.terms
+        if machine.coordinates[rope] not in placing:
+            position[rope] = ratio * position[driving]
     return position
 
 
@@ -206,14 +219,16 @@ def _balance(
     for column, axis in enumerate(axes):
         row, ratio = placing[description.motors[axis].coordinate]
         arms[row, column] = ratio
-    stiffness = elastic_stiffness(machine, parameters)
-    slope = motions.T @ np.hstack([stiffness @ free, -arms])
     if not needed and not free.size:
         return {}
     forces = np.zeros(len(axes))
     residual = np.zeros(size)
+    slope = None
     for _ in range(_ITERATIONS):
         plant.generalised_forces(state, parameters, residual)
+        if slope is None or state[0]['any_spring_law']:
+            stiffness = elastic_stiffness(machine, parameters, state)
+            slope = motions.T @ np.hstack([stiffness @ free, -arms])
         unbalanced = motions.T @ (residual + arms @ forces)
         correction, _, rank, _ = np.linalg.lstsq(slope, unbalanced, rcond=1e-14)
         if rank < slope.shape[1] or np.abs(slope @ correction - unbalanced).max() > 1e-6 * (
