@@ -2,8 +2,8 @@
 """
 The library of effects: physical causes that a nominal model leaves out or has wrong.
 
-Each module of this package but `effect` is one effect, with a constant `EFFECT`. Adding an effect is
-adding such a file; nothing else lists them.
+Each module of this package that has a constant `EFFECT` is one effect, and has its name. Adding an
+effect is adding such a file; nothing else lists them.
 """
 
 from __future__ import annotations
@@ -17,17 +17,15 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.effects.effect import Effect
 
-_NOT_EFFECTS = frozenset({'effect', 'places', 'variant'})
-
 
 @functools.cache
 def library() -> Mapping[str, Effect]:
     """Return every effect by its name, in alphabetical order."""
     found = {}
     for module in sorted(pkgutil.iter_modules(__path__), key=lambda item: item.name):
-        if module.name in _NOT_EFFECTS:
+        effect = getattr(importlib.import_module(f'{__name__}.{module.name}'), 'EFFECT', None)
+        if effect is None:
             continue
-        effect = importlib.import_module(f'{__name__}.{module.name}').EFFECT
         if effect.name != module.name:
             raise RuntimeError(f'effect {effect.name!r} is in the file {module.name}.py')
         found[effect.name] = effect

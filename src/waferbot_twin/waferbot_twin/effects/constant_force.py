@@ -12,21 +12,23 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     rated = places.rated_force(variant, axis)
-    unit = 'Nm' if places.rotary(variant, axis) else 'N'
+    unit = places.force_unit(variant, axis)
     return (
         Parameter('force', unit, 0.0, 0.1 * rated, -10.0 * rated, 10.0 * rated, 'on the axis'),
     )
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    return Overlay(
-        places.disturbance(
-            variant, axis, 'constant', {places.force_key(variant, axis): values['force']}
-        )
-    )
+    force = {places.force_key(variant, axis): values['force']}
+    return Overlay(places.disturbance(variant, axis, 'constant', force))
 
 
 EFFECT = Effect(
-    'constant_force', Block.ENVIRONMENT, 'a constant force from outside',
-    places.motor_axes, _parameters, _overlay,
-)  # fmt: skip
+    'constant_force',
+    Block.ENVIRONMENT,
+    'a constant force from outside',
+    places.motor_axes,
+    _parameters,
+    _overlay,
+    equation='F = force',
+)

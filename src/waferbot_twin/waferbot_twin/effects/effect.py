@@ -33,7 +33,8 @@ class Parameter:
     `neutral` is the value at which the effect is not there, `typical` one that is plainly seen on a
     real machine (the first trial of a fit), `low` and `high` bound what is physically possible.
     A `shape` parameter has no effect of its own (a phase, a frequency, a time constant): it only
-    says how the others act.
+    says how the others act. What is held in whole numbers changes only in steps of `resolution`: a
+    difference quotient must not be taken over less. 0 is continuous.
     """
 
     name: str
@@ -44,11 +45,20 @@ class Parameter:
     high: float
     meaning: str
     shape: bool = False
+    resolution: float = 0.0
+
+
+Trials = Callable[[Variant, str], tuple[Values, ...]]
 
 
 def one_trial(variant: Variant, axis: str) -> tuple[Values, ...]:
     """Return the one trial of an effect whose typical shape parameters will do."""
     return ({},)
+
+
+def several_trials(name: str, *values: float) -> Trials:
+    """Return the trials of an effect with one shape parameter that is worth several beginnings."""
+    return lambda variant, axis: tuple({name: value} for value in values)
 
 
 @dataclass(frozen=True)
@@ -59,7 +69,9 @@ class Effect:
     `parameters(variant, axis)` gives the parameters with values that fit the machine (a friction
     is measured by the motor's force, a compliance by what hangs on it), in a fixed order;
     `axes(variant)` the axes on which it makes sense; `overlay(variant, axis, values)` what it changes
-    in a model that has none of it; `trials` other sets of shape parameters to begin a fit from.
+    in a model that has none of it; `trials` other sets of shape parameters to begin a fit from;
+    `equation` is for the documentation. An effect with a `threshold` (a limit, a gap) changes nothing
+    while it is small: its signature must be sought at typical values, not near the neutral ones.
     """
 
     name: str
@@ -68,7 +80,9 @@ class Effect:
     axes: Callable[[Variant], tuple[str, ...]]
     parameters: Callable[[Variant, str], tuple[Parameter, ...]]
     overlay: Callable[[Variant, str, Mapping[str, float]], Overlay]
-    trials: Callable[[Variant, str], tuple[Values, ...]] = one_trial
+    trials: Trials = one_trial
+    equation: str = ''
+    threshold: bool = False
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""
@@ -78,9 +92,11 @@ class Effect:
         """
         Return `values` with typical ones for what they leave out.
 
-        Raises `UserError` for an axis or parameter that the effect does not have, and for a value
-        out of bounds.
+        Sizes and bounds are those of the model before any effect, so that they do not change with what
+        else is laid over it. Raises `UserError` for an axis or parameter that the effect does not
+        have, and for a value out of bounds.
         """
+        variant = variant.base
         axes = self.axes(variant)
         if axis not in axes:
             raise UserError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motor's force or torque constant (and back-EMF) is not what the model has."""
+"""The motor's force or torque constant (and back-EMF) is not what the model has, k = ratio k_model."""
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
     motor = variant.description.motors[axis]
-    unit = 'rad' if variant.description.revolute[motor.coordinate] else 'm'
+    unit = 'rad' if places.motor_rotary(variant, axis) else 'm'
     key = f'back_emf_lead_to_lead_v_s_{unit}'
     return Overlay({'motors': {axis: {key: motor.back_emf * values['ratio']}}})
 
 
 EFFECT = Effect(
-    'force_constant', Block.MOTOR, 'force or torque per ampere is wrong (weak or hot magnets)',
-    places.motor_axes, _parameters, _overlay,
-)  # fmt: skip
+    'force_constant',
+    Block.MOTOR,
+    'force or torque per ampere is wrong (weak or hot magnets)',
+    places.motor_axes,
+    _parameters,
+    _overlay,
+    equation='k = ratio k_model',
+)

@@ -2,9 +2,9 @@
 """
 A model that effects can be laid over: machine, controller and amplifier settings as plain data.
 
-An effect changes a model by an `Overlay`, which says what differs in the machine's description, in the
-I-variables and in the amplifiers' settings. Laid over one another, overlays become a model that every
-engine runs, and a file that every node loads.
+An effect changes a model by an `Overlay`, which says what differs in the machine's description, in
+the I-variables and in the amplifiers' settings. Laid over one another, overlays become a model
+that every engine runs, and a file that every node loads.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, merge, parse
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.assembly import assemble
+from waferbot_plant.assembly import Assembly, assemble
 from waferbot_plant.description import Description, check, whole_text
 from waferbot_plant.plant import Machine, description_source
 from waferbot_pmac.i_variables import servo_parameters
@@ -52,6 +52,12 @@ class Variant:
     pmac: Settings
     copley: Settings
     node_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    origin: Variant | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def base(self) -> Variant:
+        """The model before anything was laid over it: what effects are sized by."""
+        return self.origin or self
 
     @classmethod
     def of(cls, model: Model) -> Variant:
@@ -84,6 +90,7 @@ class Variant:
             machine=machine,
             pmac=_laid_over(self.pmac, overlay.pmac),
             copley=_laid_over(self.copley, overlay.copley),
+            origin=self.base,
         )
 
     @cached_property
@@ -91,6 +98,15 @@ class Variant:
         """The machine, checked."""
         document = Document(copy.deepcopy(dict(self.machine)), {(): (self.name, 1)})
         return check(document, self.damping)
+
+    @cached_property
+    def rigid(self) -> Assembly:
+        """The machine with every connection rigid: what moves with what, and how much of it."""
+        connections = {
+            name: replace(part, flexible=False, held=False)
+            for name, part in self.description.connections.items()
+        }
+        return assemble(replace(self.description, connections=connections))
 
     def build(self, timing: Timing) -> Machine:
         """Return the machine, assembled."""

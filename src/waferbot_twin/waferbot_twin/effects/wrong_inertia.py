@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The moving mass or inertia of an axis is not what the model has."""
+"""The moving mass or inertia of an axis is not what the model has, M = M_model + dM."""
 
 from __future__ import annotations
 
@@ -8,12 +8,6 @@ from collections.abc import Mapping
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
-
-
-def _axes(variant: Variant) -> tuple[str, ...]:
-    return tuple(
-        axis for axis in places.motor_axes(variant) if places.joint_of(variant, axis) is not None
-    )
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
@@ -33,6 +27,11 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 EFFECT = Effect(
-    'wrong_inertia', Block.PLANT, 'mass or inertia that moves with the axis is wrong',
-    _axes, _parameters, _overlay,
-)  # fmt: skip
+    'wrong_inertia',
+    Block.PLANT,
+    'mass or inertia that moves with the axis is wrong',
+    places.jointed_axes,
+    _parameters,
+    _overlay,
+    equation='M = M_model + mass (inertia)',
+)
