@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The cables between a lifting axis and its counterweight are too long: they have to be taken up
-first.
+The cables between a lifting axis and its counterweight are too long: they have to be taken up.
 
-The counterweight hangs lower by `slack`; its cables pull only once it moves away faster than it
-falls. Where the model holds them rigid they become springs of their data.
+    e = x_1 + x_2 - rest - slack,    F = k max(e, 0)
+
+At the start the counterweight hangs lower by `slack`. Where the model holds the cables rigid they
+become springs, much stiffer than their data say, that go slack when the axis falls faster than the
+counterweight can follow.
 """
 
 from __future__ import annotations

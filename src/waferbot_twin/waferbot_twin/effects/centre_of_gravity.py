@@ -34,7 +34,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     typical = 0.05 * places.rated_force(variant, axis) / weight
     return tuple(
         Parameter(
-            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -20.0 * typical, 20.0 * typical,
+            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -8.0 * typical, 8.0 * typical,
             f'along {"xyz"[place]} at home',
         )
         for place in _across(variant, axis)

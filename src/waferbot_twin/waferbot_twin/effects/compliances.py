@@ -62,8 +62,7 @@ def compliance_effect(name: str, summary: str, group: Group) -> Effect:
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         if values['compliance'] == parameters(variant.base, axis)[0].neutral:
             return Overlay()
-        names = tuple(part.name for part in giving(variant.base, group(variant.base, axis)))
-        parts = tuple(variant.description.connections[name] for name in names)
+        parts = giving(variant.base, group(variant.base, axis))
         softer = values['compliance'] * parts[0].stiffness
         return Overlay(with_compliance(variant, parts, softer))
 
@@ -111,27 +110,31 @@ def with_law(
 def with_compliance(
     variant: Variant, parts: tuple[Connection, ...], softer: float
 ) -> dict[str, Any]:
-    """Return the part of a description that makes connections flexible, `softer` times as much."""
+    """
+    Return the part of a description that makes connections flexible, `softer` times as much.
+
+    That is in terms of the model before any effect, and under the loads there: the same whatever other
+    effects come before it.
+    """
+    base = variant.base
     connections: dict[str, Any] = {}
     changed: dict[str, Any] = {}
-    for part in parts:
-        entry = variant.machine['connections'][part.name]
-        connections[part.name] = {'state': 'flexible'}
-        kind = variant.machine['parts'][entry['part']]['kind'] if 'part' in entry else ''
+    for name in (part.name for part in parts):
+        part, entry = base.description.connections[name], base.machine['connections'][name]
+        connections[name] = {'state': 'flexible'}
+        kind = base.machine['parts'][entry['part']]['kind'] if 'part' in entry else ''
         if kind in ('', 'shaft'):
             key = 'stiffness_nm_rad' if part.rotary else 'stiffness_n_m'
-            connections[part.name][key] = part.stiffness / softer
+            connections[name][key] = part.stiffness / softer
         else:
             direction = entry.get('direction', '')
-            for key, value in softer_part(variant, entry['part'], direction, softer).items():
+            for key, value in softer_part(base, entry['part'], direction, softer).items():
                 changed.setdefault(entry['part'], {})[key] = value
         if kind == 'shaft':
             # No metal has a torsion and a bending stiffness that follow each other at will.
-            connections[part.name] |= {
-                'part': None,
-                'direction': None,
-                'loss_factor': part.loss_factor,
-            }
+            present = variant.machine['connections'][name]
+            gone = {key: None for key in ('part', 'direction') if key in present}
+            connections[name] |= {**gone, 'loss_factor': part.loss_factor}
     found: dict[str, Any] = {'connections': connections}
     return {**found, 'parts': changed} if changed else found
 
@@ -259,7 +262,8 @@ def _holding(
     """Return the connections that hold the other freedoms in the joint of an axis."""
     joint = places.joint_of(variant, axis)
     assert joint is not None
-    entries, parts = variant.machine['connections'], variant.machine.get('parts', {})
+    entries = variant.machine.get('connections', {})
+    parts = variant.machine.get('parts', {})
     return tuple(
         name
         for freedom in joint.freedoms

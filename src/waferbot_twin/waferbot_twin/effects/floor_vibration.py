@@ -29,6 +29,7 @@ def _direction(variant: Variant, axis: str) -> np.ndarray | None:
     The force on the axis of an acceleration of the floor is -J a, with J the sum of mass times the
     motion of its centre per unit of the axis: what gravity does in that direction.
     """
+    variant = variant.base
     assembly = variant.rigid
     row, ratio = assembly.placing[places.coordinate(variant, axis)]
     felt = np.array(

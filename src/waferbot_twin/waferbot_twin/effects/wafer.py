@@ -39,7 +39,7 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
     body, joint = places.carried_body(variant, axis), places.joint_of(variant, axis)
     assert joint is not None
     mass = values['mass']
-    tip = joint.at + 2.0 * (body.centre_of_gravity - joint.at)
+    tip = joint.at + 2.0 * (places.carried_body(variant.base, axis).centre_of_gravity - joint.at)
     across = mass * RADIUS_M**2 / 4.0
     disc = np.diag([across, 2.0 * across, across])
     arm = tip - body.centre_of_gravity
