@@ -183,7 +183,7 @@ def usual_currents(variant: Variant, axis: str) -> tuple[float, float]:
 def tight_current(variant: Variant, axis: str) -> float:
     """Return a current with which the axis holds but lacks a little of what its moves take, A."""
     holding, moving = usual_currents(variant, axis)
-    return holding + 0.85 * (moving - holding)
+    return holding + 0.7 * (moving - holding)
 
 
 def force_unit(variant: Variant, axis: str) -> str:
