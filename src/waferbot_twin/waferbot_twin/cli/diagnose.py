@@ -4,9 +4,9 @@ Find what the simulation of a measured log gets wrong, and why; extend the model
 
   waferbot diagnose MEASURED... [--validate OTHER...] [--model NAME|FILE] --out DIR
 
-Causes are found in MEASURED and judged by OTHER, logs with another motion; with a single log its last part
-judges. DIR gets report.html (pictures first), report.json and extended.yaml, a model that every node and
-engine loads: waferbot run --model DIR/extended.yaml.
+Causes are found in MEASURED and judged by OTHER, logs with another motion; with a single log its
+last part judges. DIR gets report.html (pictures first), report.json and extended.yaml, a model that
+every node and engine loads: waferbot run --model DIR/extended.yaml.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
-from waferbot_twin.recording.writer import prepare_folder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
     from waferbot_twin.diagnosis.diagnose import diagnose, load_records
-    from waferbot_twin.diagnosis.report import as_dict, sentence, write
+    from waferbot_twin.diagnosis.report import as_dict, prepare_folder, sentence, write
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model

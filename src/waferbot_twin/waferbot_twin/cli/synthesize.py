@@ -82,22 +82,24 @@ def _list(options: argparse.Namespace) -> int:
     from waferbot_twin.models import load_model
 
     variant = Variant.of(load_model(options.model))
-    rows = [
-        {
-            'effect': effect.name,
-            'block': effect.block.value,
-            'axes': list(effect.axes(variant)),
-            'summary': effect.summary,
-        }
-        for effect in library().values()
-    ]
+    effects = [(effect, effect.axes(variant)) for effect in library().values()]
     if options.json:
-        print_json(rows)
+        print_json(
+            [
+                {
+                    'effect': effect.name,
+                    'block': effect.block.value,
+                    'axes': list(axes),
+                    'summary': effect.summary,
+                }
+                for effect, axes in effects
+            ]
+        )
         return 0
     table = new_table('effect', 'block', 'axes', 'what it is')
     for column in table.columns:
-        column.justify = 'left'
-    for row in rows:
-        table.add_row(row['effect'], row['block'], ' '.join(row['axes']) or '-', row['summary'])
+        column.justify, column.no_wrap = 'left', False
+    for effect, axes in effects:
+        table.add_row(effect.name, effect.block.value, ' '.join(axes) or '-', effect.summary)
     result_console.print(table)
     return 0

@@ -2,10 +2,10 @@
 """
 A diagnosis from beginning to end: logs in, causes, what they gain, what stays unexplained.
 
-Logs are divided into those for finding and those for judging; with a single log its last part judges. The
-causes come from `search`; a force table (`nonparametric`) shows whether something is left over that no
-effect of the library explains; the gain is measured on the judging logs alone (`gain`), and an extension that
-does not win there is withdrawn.
+Logs are divided into those for finding and those for judging; with a single log its last part
+judges. The causes come from `search`; a force table (`nonparametric`) shows whether something is left
+over that no effect of the library explains; the gain is measured on the judging logs alone (`gain`), and
+an extension that does not win there is withdrawn.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 
 HELD_OUT = 0.4
@@ -96,7 +97,8 @@ def diagnose(
         notes.append('one log only: its last part judged what was found in the rest')
     if any(record.commanded is None for record in (*finding, *judging)):
         notes.append('no commanded position: the controller could not be looked at')
-    problem, judge = Problem(nominal, finding), Problem(nominal, judging)
+    roomy = host(nominal)
+    problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = [effect for name, effect in library().items() if name not in without]
     found = search(problem, judge, effects, progress, workers)
     withdrawn: list[Cause] = []

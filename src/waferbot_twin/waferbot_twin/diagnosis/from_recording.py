@@ -16,6 +16,7 @@ from waferbot_lockstep.contract import (
     SERVO_STATE,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
 from waferbot_twin.commutation import electrical_angle
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.variant import Variant
@@ -89,12 +90,12 @@ def _mean_over_ticks(current: Array) -> Array:
 
 
 def _as_commanded(
-    command: Array, encoders: np.ndarray, variant: Variant, timing: object, ticks: int
+    command: Array, encoders: np.ndarray, variant: Variant, timing: Timing, ticks: int
 ) -> Array:
     """Return the line currents of amplifiers that do at once what they are told."""
     amplifier = amplifier_parameters(variant.copley, timing, variant.name)[0]
     every = np.arange(ticks)
-    held = command[np.minimum(every // 8, len(command) - 1)]
+    held = command[np.minimum(every // timing.servo_divider, len(command) - 1)]
     lines = np.zeros((ticks, 2 * len(AXES)))
     for axis in range(len(AXES)):
         theta = electrical_angle(every, axis, amplifier, (encoders['tick'], encoders['counts']))

@@ -82,7 +82,7 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
                 record.name,
                 axis,
                 unit,
-                np.flatnonzero(known) * step_s,
+                np.asarray(np.flatnonzero(known) * step_s, np.float64),
                 measured[known] / encoder.counts_per_unit,
                 errors[0][known] / encoder.counts_per_unit,
                 errors[1][known] / encoder.counts_per_unit,

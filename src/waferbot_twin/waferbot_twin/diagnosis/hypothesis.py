@@ -95,6 +95,6 @@ def signature(
 
 def _probe(item: Parameter, value: float) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
-    width = item.typical - item.neutral if item.typical != item.neutral else item.typical
-    step = PROBE * width
+    width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)
+    step = max(PROBE * abs(width), item.resolution)
     return step if item.low <= value + step <= item.high else -step

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The result of a diagnosis as a sentence, as JSON, as an overlay that every node loads, and as a page."""
+"""The result of a diagnosis: a sentence, JSON, an overlay that every node loads, and a page."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import significant
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain import AxisGain
@@ -32,7 +33,7 @@ NORMAL_95 = 1.96
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
-p.verdict { font-size: 1.15rem; background: #eef3fa; padding: .8rem 1rem; border-left: 4px solid #1f5fa8; }
+p.verdict { font-size: 1.15rem; background: #eef3fa; padding: .8rem 1rem; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; }
 th:first-child, td:first-child { text-align: left; } img { max-width: 100%; }
@@ -158,6 +159,22 @@ def _gain(items: list[AxisGain]) -> dict[str, Any]:
             for item in items
         },
     }
+
+
+def prepare_folder(folder: Path, force: bool) -> None:
+    """
+    Make the folder of a report; raises `UserError` if it exists, unless `force` and it holds one.
+
+    Done before the diagnosis, so that nobody waits for a result that cannot be written.
+    """
+    if folder.exists() and not force:
+        raise UserError(f'--out {folder} exists; choose another folder or give --force')
+    if folder.exists() and not (folder / 'report.json').exists() and any(folder.iterdir()):
+        raise UserError(f'--out {folder} holds no report; --force only replaces reports')
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f'--out {folder} cannot be made: {error.strerror}') from error
 
 
 def write(diagnosis: Diagnosis, folder: Path) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, signature
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, signature
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.whitening import fit
@@ -129,5 +129,17 @@ def screen(
             )
             gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
             value = estimate.value[: matrix.shape[1]]
+        if not _possible(problem, rival, value):
+            continue
         found.append(Screened(rival, gain - len(value) * math.log(base.samples), value))
     return sorted(found, key=lambda item: (-item.score, item.cause.name))
+
+
+def _possible(problem: Problem, rival: Cause, value: Array) -> bool:
+    """Return whether a linear estimate asks for anything that the bounds of the effect allow."""
+    parameters = parameters_of(problem, rival)
+    return any(
+        not item.shape
+        and np.clip(rival.values[item.name] + change, item.low, item.high) != item.neutral
+        for item, change in zip(parameters, value, strict=True)
+    )

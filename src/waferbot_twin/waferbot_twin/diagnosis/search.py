@@ -55,7 +55,7 @@ TELLS_APART = 10.0
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
 
-CONFIRMS, SHARE = 4.0, 0.2
+CONFIRMS, SHARE = 8.0, 0.1
 """
 Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
 first, and this share of what it should have.
@@ -181,7 +181,9 @@ def _take_best(
                 continue
         else:
             confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
-            if min(confirmed, in_judging.gain) < max(CONFIRMS, SHARE * in_judging.expected):
+            if confirmed < max(CONFIRMS, SHARE * in_judging.expected):
+                continue
+            if in_judging.gain < CONFIRMS:
                 continue
         name = item.causes[-1].name
         state.gains[name] = base.information_criterion - item.information_criterion
