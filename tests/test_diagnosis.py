@@ -3,7 +3,7 @@
 Blind: a log with a hidden effect, a diagnosis that knows nothing of it, compared afterwards.
 
 Both run as processes of their own. Which effect, where and which noise is drawn from a seed that is
-printed; `WAFERBOT_SEED` draws another one. The rates of misses and of false alarms over many seeds are not
+printed; `WAFERBOT_SEED` draws another one. The rates of misses and false alarms over many seeds are not
 measured yet, so the seed does not change by itself.
 """
 
