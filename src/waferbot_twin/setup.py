@@ -14,6 +14,7 @@ setup(
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config/models', glob('config/models/*.*')),
+        ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
         ('share/' + package_name + '/launch', glob('launch/*.*')),
     ],
     install_requires=['setuptools'],

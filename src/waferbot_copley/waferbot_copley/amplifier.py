@@ -7,7 +7,7 @@ Kirchhoff's first law), looks up the electrical angle, and turns the current com
 terminal voltages:
 
     command -> phasing (3.1) -> offset -> filters 1, 2 -> peak and I2T limit (3.2, 3.3)
-            -> PI -> 32 / Vbus -> Vbus / Ipeak -> voltage limit -> terminals
+            -> PI -> 32 / Vbus -> Vbus / Ipeak -> voltage limit -> dead time -> terminals
 
 This is the order of the thesis (Figs. 3.10 to 3.12, `limit_order` 1). With `limit_order` 0, and
 always in field-oriented mode, offset, filters and limit act on the command before the phasing, as
@@ -36,6 +36,8 @@ from waferbot_copley.current_loop import (
     FIELD_ORIENTED,
     UNLIMITED,
     common_mode,
+    dead_time_loss,
+    loaded_bus,
     voltage_factor,
 )
 from waferbot_copley.filters import filter_sample
@@ -75,6 +77,11 @@ AMPLIFIER_STATE = np.dtype(
         ('integrator', 'f8', (3, 2)),  # of lines 1 and 2, or of d and q; V per 32 / Ipeak
         ('filter_memory', 'f8', (3, 2, 2, 2)),  # axis, line (or command), filter, delay
         ('pending_voltage', 'f8', (3, 3)),  # V, waits one tick with update_delay 1
+        (
+            'bus_power',
+            'f8',
+            (3,),
+        ),  # W into the motor in the last tick; kept with a soft supply only
         # limits
         ('i2t_accumulator', 'f8', (3, 2)),  # A^2 s, of the drive and of the user
         ('i2t_limited', 'u1', (3, 2)),
@@ -143,7 +150,10 @@ def _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
     current_squared = amplitude_squared(current_1, current_2)
     _warm_heat_sink(s, p, axis, current_squared)
     limit = _current_limit(s, p, axis, current_squared)
-    _watch(s, p, axis, current_1, current_2, sine, cosine)
+    bus_voltage = p['bus_voltage'][axis]
+    if p['bus_resistance'][axis] > 0.0:
+        bus_voltage = loaded_bus(bus_voltage, p['bus_resistance'][axis], s['bus_power'][axis])
+    _watch(s, p, axis, current_1, current_2, sine, cosine, bus_voltage)
     if s['faults'][axis] & fault.DISABLING:
         _switch_off(s, axis, voltage)
         return
@@ -182,7 +192,11 @@ def _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
     voltage_2 = output_2 * p['bus_compensation'][axis] * p['bus_gain'][axis]
     if field_oriented:
         voltage_1, voltage_2 = to_lines(voltage_1, voltage_2, sine, cosine)
-    factor = voltage_factor(voltage_1, voltage_2, p['bus_voltage'][axis], p['voltage_limit'][axis])
+    if p['bus_resistance'][axis] > 0.0 and not p['bus_feedforward'][axis]:
+        sag = bus_voltage / p['bus_voltage'][axis]
+        voltage_1 *= sag
+        voltage_2 *= sag
+    factor = voltage_factor(voltage_1, voltage_2, bus_voltage, p['voltage_limit'][axis])
 
     s['integrator'][axis, 0] += p['integral'][axis] * error_1
     s['integrator'][axis, 1] += p['integral'][axis] * error_2
@@ -203,6 +217,15 @@ def _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
         voltage_1, pending[0] = pending[0], voltage_1
         voltage_2, pending[1] = pending[1], voltage_2
         voltage_3, pending[2] = pending[2], voltage_3
+    if p['dead_time_voltage'][axis] != 0.0:
+        lost, full = p['dead_time_voltage'][axis], p['dead_time_current'][axis]
+        voltage_1 -= dead_time_loss(current_1, lost, full)
+        voltage_2 -= dead_time_loss(current_2, lost, full)
+        voltage_3 -= dead_time_loss(-(current_1 + current_2), lost, full)
+    if p['bus_resistance'][axis] > 0.0:
+        s['bus_power'][axis] = (voltage_1 - voltage_3) * current_1 + (
+            voltage_2 - voltage_3
+        ) * current_2
     voltage[3 * axis] = voltage_1
     voltage[3 * axis + 1] = voltage_2
     voltage[3 * axis + 2] = voltage_3
@@ -236,7 +259,7 @@ def _current_limit(s, p, axis, current_squared):
 
 
 @compiled
-def _watch(s, p, axis, current_1, current_2, sine, cosine):
+def _watch(s, p, axis, current_1, current_2, sine, cosine, bus_voltage):
     """Find the faults of this tick, keep those that latch."""
     highest = max(abs(current_1), abs(current_2), abs(current_1 + current_2))
     found = 0
@@ -246,9 +269,9 @@ def _watch(s, p, axis, current_1, current_2, sine, cosine):
         found |= fault.DRIVE_OVER_TEMPERATURE
     if s['motor_temperature'][axis] > p['motor_over_temperature'][axis]:
         found |= fault.MOTOR_OVER_TEMPERATURE
-    if p['bus_voltage'][axis] > p['over_voltage'][axis]:
+    if bus_voltage > p['over_voltage'][axis]:
         found |= fault.OVER_VOLTAGE
-    if p['bus_voltage'][axis] < p['under_voltage'][axis]:
+    if bus_voltage < p['under_voltage'][axis]:
         found |= fault.UNDER_VOLTAGE
     if fault.disagrees_with_halls(
         sine, cosine, s['hall_state'][axis], p['phasing_tolerance_sine'][axis]
@@ -291,6 +314,7 @@ def _switch_off(s, axis, voltage):
     s['integrator'][axis, :] = 0.0
     s['filter_memory'][axis, :, :, :] = 0.0
     s['pending_voltage'][axis, :] = 0.0
+    s['bus_power'][axis] = 0.0
     for terminal in range(3):
         voltage[3 * axis + terminal] = 0.0
 

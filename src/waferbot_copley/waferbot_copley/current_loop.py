@@ -21,6 +21,21 @@ the limit allows and leaves it as soon as the error calls for less. The drive's 
 published.
 
 Voltages are averages over the switching period of the pulse-width modulation.
+
+Two imperfections of the bridge, both off by default:
+
+- While both switches of a leg are off (dead time), its terminal goes with the current: it loses
+  V_d = t_dead f_switch Vbus on average, against the sign of the current; near zero current in
+  proportion to it, as the ripple crosses zero and the capacitances of the switches take over. The
+  voltage is held over a tick, so V_d over that current has to stay below L f_loop.
+- Behind the bus is a supply of resistance R. With P the power that the motor drew in the tick
+  before, Vbus = V0 - R P / Vbus, so Vbus = (V0 + sqrt(V0^2 - 4 R P)) / 2. A braking motor (P < 0)
+  lifts the bus; there is no brake resistor. Losses of the bridge are not in P. Each amplifier has a
+  supply of its own. Without a voltage limit the loop may ask for more than any bus can give, and P
+  is then as unreal as the voltage: set one together with R.
+
+Source of the first: S.-G. Jeong, M.-H. Park, The analysis and compensation of dead-time effects in
+PWM inverters, IEEE Transactions on Industrial Electronics 38(2), 1991.
 """
 
 from __future__ import annotations
@@ -88,6 +103,27 @@ def voltage_factor(voltage_1, voltage_2, bus_voltage, limit):
         if largest > bus_voltage:
             return bus_voltage / largest
     return 1.0
+
+
+@compiled
+def dead_time_loss(current, voltage, full_current):
+    """
+    Return the voltage (V) that a terminal loses with `current` (A) flowing out of it.
+
+    `voltage` times the sign of the current, in proportion to it within +-`full_current`.
+    """
+    return voltage * min(max(current / full_current, -1.0), 1.0)
+
+
+@compiled
+def loaded_bus(voltage, resistance, power):
+    """
+    Return the bus voltage (V) under a load of `power` (W), of the supply's open `voltage`.
+
+    The upper root of V = V0 - R P / V; V0 / 2 where the load is more than the supply can give,
+    V0^2 / (4 R).
+    """
+    return 0.5 * (voltage + math.sqrt(max(voltage * voltage - 4.0 * resistance * power, 0.0)))
 
 
 @compiled

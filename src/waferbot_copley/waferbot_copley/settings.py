@@ -73,6 +73,18 @@ SETTINGS = (
               integer=True),
     # Current loop
     Parameter('bus_voltage', 325.0, 'V', 1.0, 1000.0, 'Direct voltage of the bus'),
+    Parameter('bus_resistance', 0.0, 'ohm', 0.0, 10.0,
+              'Resistance of the supply behind the bus, which sags with the power of the tick before; '
+              'to be used with a voltage_limit'),
+    Parameter('bus_feedforward', 0, '', 0, 1,
+              'Duty worked out from the bus voltage 0 as set, so that a sag weakens the loop, '
+              '1 as it is; no difference without bus_resistance', integer=True),
+    Parameter('dead_time_voltage', 0.0, 'V', -100.0, 100.0,
+              'Lost at each terminal against the sign of its current, by the dead time of the '
+              'bridge; negative: more than made up for'),
+    Parameter('dead_time_current', 0.5, 'A', 0.01, 100.0,
+              'Current from which the whole dead_time_voltage is lost, in proportion below it; '
+              'voltage over current should stay below the inductance times the loop rate'),
     Parameter('proportional_gain', 750, '', 0, 32767, 'Cp, as set in the drive', integer=True),
     Parameter('integral_gain', 300, '', 0, 32767, 'Ci, as set in the drive', integer=True),
     Parameter('gain_scale', 1.0 / 64.0, 'V', 1e-6, 1e3,
@@ -156,6 +168,10 @@ AMPLIFIER_PARAMETERS = np.dtype(
         ('bus_gain', 'f8', (3,)),  # Vbus / Ipeak
         ('motor_line_resistance', 'f8', (3,)),  # ohm: half of that from lead to lead
         ('bus_voltage', 'f8', (3,)),
+        ('bus_resistance', 'f8', (3,)),
+        ('bus_feedforward', 'u1', (3,)),
+        ('dead_time_voltage', 'f8', (3,)),
+        ('dead_time_current', 'f8', (3,)),
         ('voltage_limit', 'i8', (3,)),
         ('over_current', 'f8', (3,)),  # A
         ('over_voltage', 'f8', (3,)),

@@ -15,8 +15,8 @@ the axes held by their motors), and a cable is stretched by it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,12 @@ class Link:
 
 @dataclass(frozen=True)
 class Element:
-    """A spring between minimal coordinates: deflection = sum of ratio * z over `terms`."""
+    """
+    A spring between minimal coordinates: deflection = sum of ratio * z over `terms`.
+
+    One that is `held` keeps its deflection; stiffness and damping are what it would have. `law` has
+    the parameters of `spring_laws` by name; those not in it have no effect.
+    """
 
     name: str
     connections: tuple[str, ...]
@@ -55,6 +60,8 @@ class Element:
     damping: float
     rest: float
     pulls_only: bool
+    held: bool = False
+    law: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -79,13 +86,19 @@ class Assembly:
 
 def assemble(description: Description) -> Assembly:
     """Build the arrays of a description with its connections switched as they are."""
-    flexible = {name for name, part in description.connections.items() if part.flexible}
-    links, link_of, placing, coordinates = _reduce(description, flexible)
-    rotor_inertia = _rotor_inertia(description, placing, len(coordinates))
+    links, link_of, placing, coordinates = _reduce(
+        description,
+        {name for name, part in description.connections.items() if part.flexible or part.held},
+    )
+    ropes = _heavy_ropes(description)
+    coordinates += ropes
+    inertia = np.append(
+        _rotor_inertia(description, placing, len(coordinates) - len(ropes)), list(ropes.values())
+    )
     behaviour = Behaviour(description)
     elements = [
-        *_held_freedoms(description, flexible, placing, behaviour),
-        *_soft_transmissions(description, flexible, placing, behaviour),
+        *_held_freedoms(description, placing, behaviour),
+        *_soft_transmissions(description, placing, behaviour),
         *_dampers(description, placing),
     ]
     for cable in (element for element in elements if element.pulls_only):
@@ -94,13 +107,18 @@ def assemble(description: Description) -> Assembly:
                 f'{description.name}: cable {cable.name} is slack at the home pose; '
                 'nothing hangs on the coordinate that it drives'
             )
+    elements = [
+        half
+        for element in elements
+        for half in _lengthened_and_halved(description, element, coordinates)
+    ]
     return Assembly(
         description=description,
         links=tuple(links),
         link_of=link_of,
         coordinates=tuple(coordinates),
         placing=placing,
-        rotor_inertia=rotor_inertia,
+        rotor_inertia=inertia,
         springs=tuple(element for element in elements if not element.pulls_only),
         cables=tuple(element for element in elements if element.pulls_only),
     )
@@ -317,9 +335,107 @@ def in_series(parts: list[tuple[float, float]]) -> tuple[float, float]:
     return stiffness, stiffness**2 * damping
 
 
+def law_in_series(
+    parts: Sequence[tuple[Connection, float, float]], stiffness: float
+) -> dict[str, float]:
+    """
+    Return the law of connections in series, seen as one spring of `stiffness` (see `spring_laws`).
+
+    Of each: connection, its stiffness k_j as seen there, and its own deflection over that seen
+    there, l_j (so k_j is its own times l_j^2). All carry one force; so gaps add up, gap_j / l_j,
+    the weakest slips, slip_j l_j, and hardening is sum of H_j l_j^2 (k / k_j)^3, to first order. A belt
+    with one strand slack has k_j / 2, which leaves 1 / (1 + k / k_j) of the slope.
+    """
+    law: dict[str, float] = {}
+    for part, seen, lever in parts:
+        if part.gap:
+            law['gap'] = law.get('gap', 0.0) + part.gap / lever
+        if part.hardening:
+            law['hardening'] = (
+                law.get('hardening', 0.0) + part.hardening * lever**2 * (stiffness / seen) ** 3
+            )
+        if part.slip is not None:
+            law['slip'] = min(law.get('slip', math.inf), part.slip * lever)
+        if part.slack_preload is not None:
+            law['slack_force'] = 2.0 * part.slack_preload * lever
+            law['slack_slope'] = 1.0 / (1.0 + stiffness / seen)
+    return law
+
+
+def _error_law(
+    transmission: Transmission, driving_ratio: float, driven_ratio: float
+) -> dict[str, float]:
+    """Return the law of a transmission error, as a wave over the minimal coordinate."""
+    error = transmission.error
+    if error is None:
+        return {}
+    return {
+        'error_amplitude': error.amplitude,
+        'error_wave': error.order * (driven_ratio if error.of_driven else driving_ratio),
+        'error_phase': error.phase,
+        'error_of_driven': float(error.of_driven),
+    }
+
+
+def _heavy_ropes(description: Description) -> dict[str, float]:
+    """
+    Return the coordinates of cables that have mass, with it, kg.
+
+    A rope's coordinate is the motion of its middle along itself, towards the driving end, so that the
+    driven coordinate moves by as much as long as nothing stretches.
+    """
+    return {
+        f'{transmission.name}_rope': description.connections[stage.connection].rope_mass
+        for transmission in description.transmissions.values()
+        for stage in transmission.stages
+        if transmission.pulls_only
+        and stage.connection is not None
+        and description.connections[stage.connection].rope_mass > 0.0
+        and giving_connections(description, [stage.connection])
+    }
+
+
+def _lengthened_and_halved(
+    description: Description, element: Element, coordinates: list[str]
+) -> list[Element]:
+    """
+    Return a cable with its slack; in two halves, each twice as stiff, if the rope has mass.
+
+    All other elements are returned as they are. The rope's weight is left out: it hangs on both
+    sides of its pulley.
+    """
+    if not element.pulls_only:
+        return [element]
+    slack = sum(description.connections[name].slack for name in element.connections)
+    whole = replace(element, rest=element.rest + slack)
+    rope = f'{element.name}_rope'
+    if rope not in coordinates:
+        return [whole]
+    place = coordinates.index(rope)
+    half = replace(
+        whole, stiffness=2.0 * whole.stiffness, damping=2.0 * whole.damping, rest=0.5 * whole.rest
+    )
+    return [
+        replace(
+            half, name=f'{element.name} (driving half)', terms=(whole.terms[0], (place, -1.0))
+        ),
+        replace(half, name=f'{element.name} (driven half)', terms=((place, 1.0), whole.terms[1])),
+    ]
+
+
+def giving_connections(description: Description, names: Iterable[str]) -> set[str]:
+    """
+    Return those of some connections in series that give.
+
+    The flexible ones; where there is none, the held ones: they would give if they were let go.
+    """
+    connections = description.connections
+    flexible = {name for name in names if connections[name].flexible}
+    return flexible or {name for name in names if connections[name].held}
+
+
 def _held_freedoms(
     description: Description,
-    flexible: set[str],
     placing: dict[str, tuple[int, float]],
     behaviour: Behaviour,
 ) -> list[Element]:
@@ -327,8 +443,9 @@ def _held_freedoms(
     elements = []
     for joint in description.joints.values():
         for freedom in joint.freedoms:
+            giving = giving_connections(description, freedom.connections)
             soft = [
-                description.connections[name] for name in freedom.connections if name in flexible
+                description.connections[name] for name in freedom.connections if name in giving
             ]
             if soft:
                 stiffness, damping = in_series(
@@ -345,8 +462,19 @@ def _held_freedoms(
                 names = tuple(part.name for part in soft)
                 rest = -behaviour.weight_on(freedom.name) / stiffness
                 term = placing[freedom.name]
+                held = not any(part.flexible for part in soft)
                 elements.append(
-                    Element(freedom.name, names, (term,), stiffness, damping, rest, False)
+                    Element(
+                        freedom.name,
+                        names,
+                        (term,),
+                        stiffness,
+                        damping,
+                        rest,
+                        False,
+                        held,
+                        law_in_series([(part, part.stiffness, 1.0) for part in soft], stiffness),
+                    )
                 )
     return elements
 
@@ -372,14 +500,15 @@ def stages_seen_at_output(
 
 def _soft_transmissions(
     description: Description,
-    flexible: set[str],
     placing: dict[str, tuple[int, float]],
     behaviour: Behaviour,
 ) -> list[Element]:
     """Return the springs of the transmissions that give: deflection = ratio * driving - driven."""
     elements = []
     for transmission in description.transmissions.values():
-        seen = stages_seen_at_output(transmission, description.connections, flexible)
+        stages = [stage.connection for stage in transmission.stages if stage.connection]
+        giving = giving_connections(description, stages)
+        seen = stages_seen_at_output(transmission, description.connections, giving)
         if not seen:
             continue
         total = in_series([(stiffness, 0.0) for _, stiffness in seen])[0]
@@ -401,6 +530,17 @@ def _soft_transmissions(
                 damping,
                 behaviour.weight_on(transmission.driven) / stiffness,
                 transmission.pulls_only,
+                not any(part.flexible for part, _ in seen),
+                {
+                    **law_in_series(
+                        [
+                            (part, stiffness_there, math.sqrt(stiffness_there / part.stiffness))
+                            for part, stiffness_there in seen
+                        ],
+                        stiffness,
+                    ),
+                    **_error_law(transmission, driving_ratio, driven_ratio),
+                },
             )
         )
     return elements

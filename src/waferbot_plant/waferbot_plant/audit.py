@@ -59,6 +59,11 @@ def books(machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void
         for place, axis in enumerate(AXES)
         if axis in machine.description.motors
     }
+    for place, (name, force) in enumerate(machine.description.disturbances.items()):
+        if force.kind != 'periodic':
+            supplied[f'{name} disturbance'] = float(s['disturbance_work'][place])
+    if machine.description.vibration.acceleration.any():
+        supplied['floor'] = float(s['floor_work'])
     return Books(
         supplied={**supplied, 'outside': float(s['external_work'])},
         stored=dict(

@@ -11,7 +11,8 @@ which every coordinate is zero; so no chain of frames has to be worked out by ha
   freedom `held_by` connections is no axis of the machine but the give of a part.
 - A **transmission** ties two coordinates together by a ratio: gear, belt, cable over a pulley.
 - A **connection** is the elastic part in a joint or in a stage of a transmission. Where its state
-  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist.
+  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist. `held`
+  is as stiff as that, but the freedom stays in the model and stands still (see `constraints`).
 - A **rotor** is an inertia that spins about its own axis, driven through a transmission. As in the
   thesis (2.21) and in one-dimensional drive-train models it carries only the energy
   J * speed^2 / 2 of its own coordinate: the turning of the body that it is mounted on is not felt
@@ -30,8 +31,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -44,16 +45,23 @@ from numpy.typing import NDArray
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import part_library
+from waferbot_plant import imperfections, part_library
+from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 from waferbot_plant.part_library import Carried
 
 Vector = NDArray[np.float64]
+
+LONGEST_DELAY = 15
+"""Longest delay of an encoder that the plant's history of readings can hold, in phase cycles."""
 
 BASE = 'base'
 """Name of the body that does not move."""
 
 DAMPING = ('calculated', 'improved')
 """The two sets of loss factors and friction; see the thesis, chapter 6."""
+
+STATES = ('held', 'rigid', 'flexible')
+"""What a connection can be."""
 
 _SCHEMA = json.loads(Path(__file__).with_name('description.schema.json').read_text('utf-8'))
 _UNITS = {False: ('m', 'n', 'n_m', 'n_s_m'), True: ('rad', 'nm', 'nm_rad', 'nm_s_rad')}
@@ -140,6 +148,7 @@ class Transmission:
     driving: str
     driven: str
     stages: tuple[Stage, ...]
+    error: TransmissionError | None = None
 
     @property
     def ratio(self) -> float:
@@ -160,6 +169,11 @@ class Connection:
     Damping is either viscous (`damping`, N s/m or Nm s/rad) or structural (`loss_factor`), which
     becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
     the coordinates `free` may follow; in a joint, all others are held.
+
+    One that is neither `flexible` nor `held` is rigid. The rest is what makes it more than a
+    linear spring, in its own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2
+    or 1/rad2, `slip` in N or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m
+    beyond home, and `rope_mass` in kg. None: never.
     """
 
     name: str
@@ -169,6 +183,13 @@ class Connection:
     damping: float | None
     loss_factor: float | None
     free: tuple[str, ...]
+    held: bool = False
+    gap: float = 0.0
+    hardening: float = 0.0
+    slip: float | None = None
+    slack_preload: float | None = None
+    slack: float = 0.0
+    rope_mass: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -178,7 +199,8 @@ class Friction:
     up.
 
     Between the points it is interpolated, outside them held constant. `breakaway` multiplies the
-    resistance at speed zero to give the peak of static friction.
+    resistance at speed zero to give the peak of static friction. `law` has the parameters of
+    `friction_laws` by name; those not in it are zero.
     """
 
     name: str
@@ -186,6 +208,7 @@ class Friction:
     speeds: Vector
     resistances: Vector
     breakaway: float
+    law: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -203,7 +226,9 @@ class Motor:
     A three-phase motor as its data sheet gives it: values from lead to lead.
 
     Resistance in ohm, inductance in H, `back_emf` the amplitude in V per m/s or rad/s,
-    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate.
+    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate. Imperfections, see
+    `waferbot_plant.motors`: `saturation_current` in A, 0 for none; relative `phase_imbalance` of
+    the windings 1 and 2.
     """
 
     axis: str
@@ -214,6 +239,18 @@ class Motor:
     back_emf: float
     electrical_gain: float
     heating: Heating | None
+    saturation_current: float
+    ripple: tuple[Ripple, ...]
+    phase_imbalance: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Force and back-EMF times 1 + cosine cos(order theta) + sine sin(order theta), relative."""
+
+    order: float
+    cosine: float
+    sine: float
 
 
 @dataclass(frozen=True)
@@ -221,8 +258,9 @@ class Heating:
     """
     How a motor's windings warm up: one heat capacity on one resistance to the air about it.
 
-    `to_air` in K/W, `capacity` in J/K, `air` in degC; the data sheet's winding resistance holds at
-    `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper has 0.00393 at 20 degC.
+    `to_air` in K/W, `capacity` in J/K, `air` and, of the windings, `start` in degC; the data sheet's
+    winding resistance holds at `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper
+    has 0.00393 at 20 degC.
     """
 
     to_air: float
@@ -230,6 +268,38 @@ class Heating:
     air: float
     resistance_at: float
     coefficient: float
+    start: float
+
+
+@dataclass(frozen=True)
+class CyclicError:
+    """An error of `amplitude` cos(2 pi x / `period` - `phase`); amplitude and period in one unit."""
+
+    amplitude: float = 0.0
+    period: float = 1.0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class EncoderErrors:
+    """
+    What is wrong with an encoder, none by default; see `waferbot_plant.encoders`.
+
+    `scale` is relative; `eccentricity` in m or rad; `interpolation`, `coarseness`, `noise` (rms) and
+    `lost_counts` in counts; `extra_delay` and `delay_fraction` in phase cycles; `lost_every` in m or
+    rad, 0 where nothing is lost.
+    """
+
+    scale: float = 0.0
+    eccentricity: CyclicError = CyclicError()
+    interpolation: CyclicError = CyclicError()
+    coarseness: float = 1.0
+    extra_delay: int = 0
+    delay_fraction: float = 0.0
+    noise: float = 0.0
+    noise_seed: int = 0
+    lost_counts: float = 0.0
+    lost_every: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -239,6 +309,22 @@ class Encoder:
     place: str
     coordinate: str
     counts_per_unit: float
+    errors: EncoderErrors
+
+
+@dataclass(frozen=True)
+class CurrentSensors:
+    """
+    The errors of the current sensors of a motor, lines 1 and 2: relative gains; A; A rms.
+
+    See `waferbot_plant.current_sensors`.
+    """
+
+    axis: str
+    gains: tuple[float, float]
+    offsets: tuple[float, float]
+    noise: float
+    noise_seed: int
 
 
 @dataclass(frozen=True)
@@ -256,9 +342,12 @@ class Description:
     connections: Mapping[str, Connection]
     frictions: Mapping[str, Friction]
     dampers: Mapping[str, Damper]
+    disturbances: Mapping[str, Disturbance]
+    vibration: Vibration
     axes: Mapping[str, str]
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
+    current_sensors: Mapping[str, CurrentSensors]
     parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
@@ -325,8 +414,10 @@ def _switch(document: Document, switches: Mapping[str, str] | str | None) -> Non
     for name, state in (switches or {}).items():
         if name not in connections:
             raise UserError(f'no connection {name!r} to switch{did_you_mean(name, connections)}')
-        if state not in ('rigid', 'flexible'):
-            raise UserError(f'connection {name}: state is {state!r}; it is rigid or flexible')
+        if state not in STATES:
+            raise UserError(
+                f'connection {name}: state is {state!r}; it is held, rigid or flexible'
+            )
         connections[name]['state'] = state
 
 
@@ -474,9 +565,14 @@ class _Reader:
             connections=connections,
             frictions=frictions,
             dampers=dampers,
+            disturbances=imperfections.read_disturbances(self),
+            vibration=imperfections.read_vibration(self),
             axes=axes,
             motors={axis: self.motor(axis) for axis in self.section('motors')},
             encoders={place: self.encoder(place) for place in self.section('encoders')},
+            current_sensors={
+                axis: self.current_sensors_of(axis) for axis in self.section('current_sensors')
+            },
             parts=self.parts,
             revolute=self.revolute,
             provenance=provenance,
@@ -633,7 +729,13 @@ class _Reader:
             raise self.document.error(
                 (*key, 'driven'), f'the last stage moves by {kind}, this coordinate does not'
             )
-        transmission = Transmission(name, value['driving'], value['driven'], tuple(stages))
+        transmission = Transmission(
+            name,
+            value['driving'],
+            value['driven'],
+            tuple(stages),
+            imperfections.read_transmission_error(self, key, value),
+        )
         if transmission.pulls_only and len(stages) > 1:
             raise self.document.error((*key, 'stages'), 'a cable must be a transmission by itself')
         return transmission
@@ -698,12 +800,14 @@ class _Reader:
             for held_by in freedom.connections
             if held_by == name
         ]
+        stage_kind = None
         for transmission in transmissions.values():
             revolute = self.revolute[transmission.driving]
             for stage in transmission.stages:
                 revolute = revolute and stage.kind != 'rack'
                 if stage.connection == name:
                     uses.append(revolute and stage.kind != 'belt')
+                    stage_kind = stage.kind
         if len(uses) != 1:
             raise self.document.error(
                 key, f'is used in {len(uses)} places; a connection is one part in one place'
@@ -714,19 +818,20 @@ class _Reader:
             self.moving((*key, 'first_frequency_with', place), coordinate)
             for place, coordinate in enumerate(value.get('first_frequency_with', ()))
         )
-        flexible = value['state'] == 'flexible'
+        flexible, held = value['state'] == 'flexible', value['state'] == 'held'
+        law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):
             raise self.document.error(key, f'give either loss_factor or {names[rotary]}')
         if 'loss_factor' in value:
             loss = float(value['loss_factor'])
-            return Connection(name, flexible, rotary, stiffness, None, loss, free)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
         damping = float(self.quantity(key, rotary, *names))
-        return Connection(name, flexible, rotary, stiffness, damping, None, free)
+        return Connection(name, flexible, rotary, stiffness, damping, None, free, held, **law)
 
     def stiffness_of_part(
         self, key: Key, value: dict[str, Any], rotary: bool
@@ -793,6 +898,7 @@ class _Reader:
                 np.zeros(1),
                 np.array([factor * found.coulomb_nm]),
                 float(value.get('breakaway', 1.0)),
+                imperfections.read_friction_law(self, key, self.revolute[coordinate]),
             )
             if found.viscous_nm_s_per_rad > 0.0:
                 dampers[name] = Damper(name, coordinate, factor * found.viscous_nm_s_per_rad)
@@ -843,6 +949,7 @@ class _Reader:
             np.array(speeds, float),
             np.array(resistances, float) * value.get('factor', 1.0),
             float(value.get('breakaway', 1.0)),
+            imperfections.read_friction_law(self, key, revolute),
         )
 
     def damper(self, name: str) -> Damper:
@@ -873,7 +980,24 @@ class _Reader:
             float(back_emf),
             float(cycle) if revolute else 2.0 * math.pi / cycle,
             self.heating(axis),
+            float(value.get('saturation_current_a', 0.0)),
+            self.ripple(axis),
+            _pair(value.get('phase_imbalance', (0.0, 0.0))),
         )
+
+    def ripple(self, axis: str) -> tuple[Ripple, ...]:
+        """Read the ripples of a motor's constant, which together must leave it its sign."""
+        ripple = tuple(
+            Ripple(float(one['order']), float(one.get('cosine', 0.0)), float(one.get('sine', 0.0)))
+            for one in self.data['motors'][axis].get('ripple', ())
+        )
+        total = sum(math.hypot(one.cosine, one.sine) for one in ripple)
+        if total >= 1.0:
+            raise self.document.error(
+                ('motors', axis, 'ripple'),
+                f'amplitudes add up to {total:g}; they are relative and must stay below 1',
+            )
+        return ripple
 
     def heating(self, axis: str) -> Heating | None:
         """Read how a motor warms up; None for one that stays at the data sheet's temperature."""
@@ -886,6 +1010,7 @@ class _Reader:
             air=float(value['air_degc']),
             resistance_at=float(value['resistance_at_degc']),
             coefficient=float(value['resistance_rise_1_k']),
+            start=float(value.get('winding_start_degc', value['air_degc'])),
         )
 
     def encoder(self, place: str) -> Encoder:
@@ -893,4 +1018,72 @@ class _Reader:
         key: Key = ('encoders', place)
         coordinate, revolute = self.coordinate(key, self.data['encoders'][place])
         counts = self.quantity(key, revolute, 'counts_per_m', 'counts_per_revolution')
-        return Encoder(place, coordinate, counts / (2.0 * math.pi) if revolute else float(counts))
+        per_unit = counts / (2.0 * math.pi) if revolute else float(counts)
+        return Encoder(place, coordinate, per_unit, self.encoder_errors(place, revolute))
+
+    def encoder_errors(self, place: str, revolute: bool) -> EncoderErrors:
+        """Read what is wrong with an encoder."""
+        key: Key = ('encoders', place)
+        value = self.data['encoders'][place]
+        lost: dict[str, Any] = value.get('lost_counts', {})
+        every = (
+            self.quantity((*key, 'lost_counts'), revolute, 'every_m', 'every_rad') if lost else 0
+        )
+        errors = EncoderErrors(
+            scale=float(value.get('scale_error', 0.0)),
+            eccentricity=self.eccentricity((*key, 'eccentricity'), revolute),
+            interpolation=_cyclic_error(value.get('interpolation'), 'counts'),
+            coarseness=float(value.get('coarseness_counts', 1.0)),
+            extra_delay=int(value.get('extra_delay_cycles', 0)),
+            delay_fraction=float(value.get('delay_fraction', 0.0)),
+            noise=float(value.get('noise_counts', 0.0)),
+            noise_seed=int(value.get('noise_seed', 0)),
+            lost_counts=float(lost.get('counts', 0.0)),
+            lost_every=float(every),
+        )
+        common = int(self.section('feedback').get('delay_cycles', 1))
+        if common + errors.extra_delay > LONGEST_DELAY:
+            raise self.document.error(
+                (*key, 'extra_delay_cycles'),
+                f'is {errors.extra_delay}; with feedback.delay_cycles = {common} the count would be '
+                f'{common + errors.extra_delay} cycles late, the longest delay is {LONGEST_DELAY}',
+            )
+        return errors
+
+    def eccentricity(self, key: Key, revolute: bool) -> CyclicError:
+        """Read the eccentricity of an encoder, in the unit of its coordinate."""
+        value = self.data['encoders'][key[1]].get('eccentricity')
+        if value is None:
+            return CyclicError()
+        self.quantity(key, revolute, 'amplitude_m', 'amplitude_rad')
+        self.quantity(key, revolute, 'period_m', 'period_rad')
+        unit = 'rad' if revolute else 'm'
+        return _cyclic_error(value, unit)
+
+    def current_sensors_of(self, axis: str) -> CurrentSensors:
+        """Read the errors of a motor's current sensors."""
+        self.reference(('current_sensors', axis), axis, self.section('motors'), 'motor')
+        value = self.data['current_sensors'][axis]
+        return CurrentSensors(
+            axis,
+            (float(value.get('gain_1', 0.0)), float(value.get('gain_2', 0.0))),
+            (float(value.get('offset_1_a', 0.0)), float(value.get('offset_2_a', 0.0))),
+            float(value.get('noise_a', 0.0)),
+            int(value.get('noise_seed', 0)),
+        )
+
+
+def _pair(values: Sequence[float]) -> tuple[float, float]:
+    """Return two numbers as a tuple."""
+    return float(values[0]), float(values[1])
+
+
+def _cyclic_error(value: Mapping[str, Any] | None, unit: str) -> CyclicError:
+    """Return the cyclic error whose amplitude and period are given in `unit`; none for None."""
+    if value is None:
+        return CyclicError()
+    return CyclicError(
+        float(value[f'amplitude_{unit}']),
+        float(value[f'period_{unit}']),
+        float(value.get('phase_rad', 0.0)),
+    )

@@ -14,6 +14,7 @@ and one that books its loss afterwards, once the step's mean speed is known. `st
 from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant.spring_laws import force_and_arms_now, stored_in_law
 
 LONGEST_TABLE = 16
 """Most points that a table of friction can have."""
@@ -91,8 +92,11 @@ def add_spring(
 
 @compiled
 def add_springs(s, p, matrix, right, position, velocity, step):
-    """Put all spring-dampers into A and r."""
+    """Put all spring-dampers into A and r, but for those with a law (see `spring_laws`)."""
+    any_law = s['any_spring_law']
     for spring in range(len(p['spring_first'])):
+        if any_law and s['spring_lawful'][spring]:
+            continue
         add_spring(
             matrix, right, p['spring_first'][spring], p['spring_second'][spring],
             p['spring_first_ratio'][spring], p['spring_second_ratio'][spring],
@@ -103,8 +107,11 @@ def add_springs(s, p, matrix, right, position, velocity, step):
 
 @compiled
 def book_springs(s, p, mean_speed, step):
-    """Add the step's loss d u^2 of every spring-damper to its ledger."""
+    """Add the step's loss d u^2 of every linear spring-damper to its ledger."""
+    any_law = s['any_spring_law']
     for spring in range(len(p['spring_first'])):
+        if any_law and s['spring_lawful'][spring]:
+            continue
         speed = (
             p['spring_first_ratio'][spring] * mean_speed[p['spring_first'][spring]]
             + p['spring_second_ratio'][spring] * mean_speed[p['spring_second'][spring]]
@@ -141,7 +148,8 @@ def judge_cables(s, p, middle, speed):
         stiffness = p['cable_stiffness'][cable]
         damping = p['cable_damping'][cable]
         s['cable_force'][cable] = 0.0
-        if elongation <= 0.0 or damping * rate < -stiffness * elongation:
+        held = s['any_held'] and p['cable_held'][cable]
+        if held or elongation <= 0.0 or damping * rate < -stiffness * elongation:
             s['cable_stiffness'][cable] = 0.0
             s['cable_damping'][cable] = 0.0
         elif damping * rate > stiffness * elongation:
@@ -209,6 +217,8 @@ def book_cables(s, p, before, after, mean_speed, step):
     `before` and `after` (n,) are the coordinates at both ends of the step.
     """
     for cable in range(len(p['cable_first'])):
+        if s['any_held'] and p['cable_held'][cable]:
+            continue
         start = cable_elongation(p, cable, before)
         end = cable_elongation(p, cable, after)
         rate = (
@@ -260,29 +270,42 @@ def limit_friction(s, p, speed):
         s['friction_now'][friction] = ratio * moving
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
+    if s['any_held']:
+        give_friction_to_leaders(s)
+
+
+@compiled
+def give_friction_to_leaders(s):
+    """Let the friction of followers act on their leaders; what is held needs none."""
+    for row in range(len(s['sliding'])):
+        leader = s['leader'][row]
+        if leader != row:
+            ratio = abs(s['leader_ratio'][row])
+            s['sliding_friction'][leader] += ratio * s['sliding_friction'][row]
+            s['holding_friction'][leader] += ratio * s['holding_friction'][row]
+            s['sliding_tilt'][leader] += s['leader_ratio'][row] * s['sliding_tilt'][row]
+            s['holding_tilt'][leader] += s['leader_ratio'][row] * s['holding_tilt'][row]
+    for row in range(len(s['sliding'])):
+        if s['leader'][row] != row or s['held_now'][row]:
+            s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
+            s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
+            s['sliding'][row] = 0
 
 
 @compiled
 def book_frictions(s, p, mean_speed, step):
     """Add the step's friction loss to the ledgers, shared among a coordinate's frictions."""
+    any_held = s['any_held']
     for friction in range(len(p['friction_coordinate'])):
         coordinate = p['friction_coordinate'][friction]
+        share = s['friction_now'][friction]
+        if any_held:
+            share *= abs(s['leader_ratio'][coordinate])
+            coordinate = s['leader'][coordinate]
         total = s['sliding_friction'][coordinate]
         if total > 0.0:
             loss = -s['friction_force'][coordinate] * mean_speed[coordinate] * step
-            s['friction_loss'][friction] += loss * s['friction_now'][friction] / total
-
-
-@compiled
-def spring_force(p, spring, position, velocity):
-    """Return the force k e + d e' of a spring-damper at one instant, N or Nm."""
-    first = p['spring_first'][spring]
-    second = p['spring_second'][spring]
-    a = p['spring_first_ratio'][spring]
-    b = p['spring_second_ratio'][spring]
-    deflection = a * position[first] + b * position[second] - p['spring_rest'][spring]
-    rate = a * velocity[first] + b * velocity[second]
-    return p['spring_stiffness'][spring] * deflection + p['spring_damping'][spring] * rate
+            s['friction_loss'][friction] += loss * share / total
 
 
 @compiled
@@ -300,9 +323,9 @@ def cable_tension(s, p, cable, position, velocity):
 def subtract_instant_forces(s, p, position, velocity, right):
     """Subtract the forces of springs and cables at one instant from `right` (n,), N or Nm."""
     for spring in range(len(p['spring_first'])):
-        force = spring_force(p, spring, position, velocity)
-        right[p['spring_first'][spring]] -= p['spring_first_ratio'][spring] * force
-        right[p['spring_second'][spring]] -= p['spring_second_ratio'][spring] * force
+        force, a, b = force_and_arms_now(s, p, spring, position, velocity)
+        right[p['spring_first'][spring]] -= a * force
+        right[p['spring_second'][spring]] -= b * force
     judge_cables(s, p, position, velocity)
     for cable in range(len(p['cable_first'])):
         force = cable_tension(s, p, cable, position, velocity)
@@ -312,9 +335,12 @@ def subtract_instant_forces(s, p, position, velocity, right):
 
 @compiled
 def elastic_energy(s, p, position):
-    """Return the energy in springs and cables, sum of k e^2 / 2, J."""
+    """Return the energy in springs and cables, sum of k e^2 / 2 where linear, J."""
     energy = 0.0
     for spring in range(len(p['spring_first'])):
+        if s['any_spring_law'] and s['spring_lawful'][spring]:
+            energy += stored_in_law(s, p, spring, position)
+            continue
         deflection = (
             p['spring_first_ratio'][spring] * position[p['spring_first'][spring]]
             + p['spring_second_ratio'][spring] * position[p['spring_second'][spring]]

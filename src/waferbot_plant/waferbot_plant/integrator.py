@@ -16,6 +16,8 @@ electrical angles are taken at z + h/2 z' and the speed expected from the last s
   stored plus energy lost to rounding for the linear part (springs, windings, force times speed of
   the motors), and to second order in h for the rest. An oscillation of frequency f comes out low
   by (2 pi f h)^2 / 12: 7e-4 at 265 Hz and one step per tick, 3 % at 1.6 kHz. Substeps refine that.
+- Springs that are not linear are found with dz' too, by rounds of Newton's method in which friction
+  and cables are found anew; there are none of these rounds where all springs are linear.
 - Dry friction is found with dz', not before it: a coordinate is stuck if some force within its
   limits holds it, and then its speed is zero exactly; otherwise friction acts with full strength
   against the speed. So a coordinate comes to rest within the step and there is no creep and no
@@ -29,6 +31,14 @@ and Applications, Springer 1988.
 from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant.constraints import follow, give_to_leaders, impose, lock
+from waferbot_plant.disturbances import (
+    add_disturbances,
+    add_floor,
+    book_disturbances,
+    book_floor,
+    shakes,
+)
 from waferbot_plant.elements import (
     add_cables,
     add_springs,
@@ -40,8 +50,22 @@ from waferbot_plant.elements import (
     limit_friction,
     tension_in_crossing,
 )
+from waferbot_plant.friction_laws import (
+    add_presliding,
+    book_lawful_frictions,
+    book_presliding,
+    limit_lawful_friction,
+)
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
 from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
+from waferbot_plant.spring_laws import (
+    ROUNDS,
+    add_laws,
+    begin_rounds,
+    book_laws,
+    end_round,
+    linearised_force,
+)
 
 
 def state_fields(coordinates: int) -> list[tuple]:
@@ -59,6 +83,7 @@ def state_fields(coordinates: int) -> list[tuple]:
         ('external_force', 'f8', (coordinates,)),
         ('external_work', 'f8'),
         ('middle_position', 'f8', (coordinates,)),
+        ('end_position', 'f8', (coordinates,)),
         ('middle_velocity', 'f8', (coordinates,)),
         ('right', 'f8', (coordinates,)),
         ('factors', 'f8', (coordinates, coordinates)),
@@ -92,12 +117,29 @@ def advance_step(s, p, voltage, step):
             force, damping = force_and_damping(s, p, motor)
             right[row] += step * ratio * (force - damping * ratio * velocity[row])
             matrix[row, row] += 0.5 * step * damping * ratio * ratio
+    disturbed = p['disturbances'] > 0
+    shaken = shakes(p)
+    if disturbed:
+        add_disturbances(s, p, matrix, right, middle, mean, velocity, step)
+    if shaken:
+        add_floor(s, p, right, step)
     add_springs(s, p, matrix, right, position, velocity, step)
     judge_cables(s, p, middle, mean)
-    limit_friction(s, p, mean)
+    if s['any_friction_law']:
+        limit_lawful_friction(s, p, middle, mean, step)
+        add_presliding(s, p, matrix, right, middle, mean, velocity, step)
+    else:
+        limit_friction(s, p, mean)
 
-    _find_velocity_change(s, p, step)
-    _let_cables_change(s, p, step)
+    any_spring_law = s['any_spring_law']
+    if any_spring_law:
+        begin_rounds(s, p, step)
+    for place in range(ROUNDS):
+        _find_velocity_change(s, p, step)
+        _let_cables_change(s, p, step)
+        if not any_spring_law or end_round(s, p, step, place == ROUNDS - 1):
+            break
+        judge_cables(s, p, middle, mean)
 
     for row in range(size):
         mean[row] = velocity[row] + 0.5 * change[row]
@@ -105,8 +147,19 @@ def advance_step(s, p, voltage, step):
         velocity[row] += change[row]
         s['external_work'] += s['external_force'][row] * mean[row] * step
     book_springs(s, p, mean, step)
+    if s['any_spring_law']:
+        book_laws(s, p, position, middle, step)
     book_cables(s, p, position, middle, mean, step)
-    book_frictions(s, p, mean, step)
+    if s['any_friction_law']:
+        book_lawful_frictions(s, p, mean, step)
+        book_presliding(s, p, mean, step)
+    else:
+        book_frictions(s, p, mean, step)
+    if disturbed:
+        book_disturbances(s, p, mean, step)
+    if shaken:
+        book_floor(s, mean, step)
+    s['steps'] += 1
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
         position[row] = middle[row]
@@ -132,13 +185,16 @@ def _find_velocity_change(s, p, step):
         misfits = 0
         for row in range(size):
             if _is_stuck(s, row):
-                if abs(s['friction_force'][row]) > s['holding_friction'][row]:
-                    s['sliding'][row] = -1 if s['friction_force'][row] > 0.0 else 1
+                force = s['friction_force'][row] + s['holding_tilt'][row]
+                if abs(force) > s['holding_friction'][row]:
+                    s['sliding'][row] = -1 if force > 0.0 else 1
                     s['holding_friction'][row] = s['sliding_friction'][row]
+                    s['holding_tilt'][row] = s['sliding_tilt'][row]
                     misfits += 1
             elif (s['velocity'][row] + s['velocity_change'][row]) * s['sliding'][row] < 0.0:
                 s['sliding'][row] = 0
                 s['holding_friction'][row] = s['sliding_friction'][row]
+                s['holding_tilt'][row] = s['sliding_tilt'][row]
                 misfits += 1
             if misfits > 0 and rounds > 4:
                 break
@@ -167,36 +223,42 @@ def _solve_with_friction(s, p, step):
         for column in range(row + 1):
             factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
+    if s['any_spring_law']:
+        add_laws(s, p, factors, change, velocity, step)
     for row in range(size):
         if s['sliding'][row] != 0:
-            s['friction_force'][row] = -s['sliding'][row] * s['sliding_friction'][row]
+            s['friction_force'][row] = (
+                -s['sliding'][row] * s['sliding_friction'][row] - s['sliding_tilt'][row]
+            )
             change[row] += step * s['friction_force'][row]
+    if s['any_held']:
+        impose(s, factors, change, 1.0)
     for row in range(size):
         if _is_stuck(s, row):
-            _lock(factors, change, row, -velocity[row])
+            lock(factors, change, row, -velocity[row])
     factorise(factors)
     solve(factors, change)
+    if s['any_held']:
+        follow(s, change, 1.0)
     for row in range(size):
         if _is_stuck(s, row):
             s['friction_force'][row] = _holding_force(s, p, row, step)
 
 
 @compiled
-def _lock(matrix, right, locked, value):
-    """Make `value` the solution's entry `locked`, exactly, and leave the equations symmetric."""
-    for column in range(locked):
-        right[column] -= matrix[locked, column] * value
-        matrix[locked, column] = 0.0
-    for row in range(locked + 1, len(right)):
-        right[row] -= matrix[row, locked] * value
-        matrix[row, locked] = 0.0
-    matrix[locked, locked] = 1.0
-    right[locked] = value
+def _holding_force(s, p, row, step):
+    """Return the friction that keeps a coordinate, and what follows it, at rest, N or Nm."""
+    force = _missing_force(s, p, row, step)
+    if s['any_held']:
+        for other in range(len(s['leader'])):
+            if s['leader'][other] == row and other != row:
+                force += s['leader_ratio'][other] * _missing_force(s, p, other, step)
+    return force
 
 
 @compiled
-def _holding_force(s, p, row, step):
-    """Return the friction that keeps a coordinate at rest, (A dz' - r) / h in its row, N or Nm."""
+def _missing_force(s, p, row, step):
+    """Return what is missing in a row of the equations: (A dz' - r) / h, N or Nm."""
     matrix = s['mass_matrix']
     change = s['velocity_change']
     residual = -s['right'][row]
@@ -213,6 +275,26 @@ def _holding_force(s, p, row, step):
             arm += p['cable_second_ratio'][cable]
         if arm != 0.0:
             force += arm * _cable_tension(s, p, cable, step)
+    if s['any_spring_law']:
+        force += _force_of_laws(s, p, row, step)
+    return force
+
+
+@compiled
+def _force_of_laws(s, p, row, step):
+    """Return what the springs with laws take from a row, with the present dz', N or Nm."""
+    force = 0.0
+    mean = s['middle_velocity']
+    for other in range(len(mean)):
+        mean[other] = s['velocity'][other] + 0.5 * s['velocity_change'][other]
+    for spring in range(len(p['spring_gap'])):
+        if s['spring_lawful'][spring]:
+            if p['spring_first'][spring] == row:
+                force += s['spring_arm_first'][spring] * linearised_force(s, p, spring, mean, step)
+            if p['spring_second'][spring] == row and s['spring_arm_second'][spring] != 0.0:
+                force += s['spring_arm_second'][spring] * linearised_force(
+                    s, p, spring, mean, step
+                )
     return force
 
 
@@ -252,6 +334,8 @@ def _let_cables_change(s, p, step):
     """
     response = s['response']
     for cable in range(len(p['cable_first'])):
+        if s['any_held'] and p['cable_held'][cable]:
+            continue
         start = cable_elongation(p, cable, s['position'])
         end = start + step * _mean_rate(s, p, cable)
         if (start > 0.0) == (end > 0.0):
@@ -269,10 +353,14 @@ def _let_cables_change(s, p, step):
         second = p['cable_second'][cable]
         response[first] += p['cable_first_ratio'][cable]
         response[second] += p['cable_second_ratio'][cable]
+        if s['any_held']:
+            give_to_leaders(s, response)
         for row in range(len(response)):
             if _is_stuck(s, row):
                 response[row] = 0.0
         solve(s['factors'], response)
+        if s['any_held']:
+            follow(s, response, 0.0)
         compliance = (
             0.5
             * step

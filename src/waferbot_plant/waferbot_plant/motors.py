@@ -29,13 +29,35 @@ positive force,
     force = 3/2 k I (wye)        force = sqrt(3)/2 k I (delta)
 
 A delta winding leads the line that it starts from by 30 degrees, with sqrt(3) times the amplitude
-of the equivalent star. Assumption: equal, constant R and L, no saturation, no cogging, sinusoidal
-EMF.
+of the equivalent star. Assumption: equal, constant R and L, sinusoidal EMF, no iron loss.
+
+Imperfections
+-------------
+All are off unless the description names them, and act on k s_w, so on force and back-EMF alike:
+
+    k s_w  becomes  k s_w (1 + b_w) (1 + sum of c_j cos(n_j theta) + d_j sin(n_j theta)) g(I)
+
+- `ripple`: theta is the electrical angle, n_j the order (6 is the usual one of a three-phase motor;
+  a fraction counts slower periods); c_j, d_j are relative, -. Torque ripple that grows with the
+  current. Cogging, which is there without current, is a force of the mechanism.
+- `phase_imbalance`: b_1 and b_2, relative, of the windings 1 and 2 (12 and 23 of a delta); b_3 = 0.
+  In a wye the EMFs then need not sum to zero and the star point moves: only what differs from the
+  mean of the three acts. In a delta they drive a current round the triangle, which brakes.
+- `saturation_current_a`: g(I) = 1 / sqrt(1 + (I / I_s)^2), I the amplitude of the line currents, A.
+  At I_s the force is 0.71 of the linear one; it never exceeds the linear one at I_s. Like
+  Froehlich's saturation curve, 1 / (1 + |I| / I_s), but without its kink at zero. I is that expected
+  at the middle of the step.
+
+Power is conserved with each of them, as force and EMF share their factor: electrical energy =
+copper loss + mechanical work + energy in the windings, to rounding. What saturation leaves out: the
+inductance, which falls in the real motor, and the difference between the force's constant at a
+current and the EMF's (a lossless motor would have the slope of the force over the current there).
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +70,9 @@ MOTORS = 3
 
 NONE, WYE, DELTA = 0, 1, 2
 """How a motor is wound; NONE where an axis has no motor."""
+
+RIPPLES = 4
+"""Places for ripples of one motor."""
 
 COLD_DEGC = 25.0
 """Temperature of the windings of a motor that does not warm up: that of most data sheets."""
@@ -67,11 +92,21 @@ PARAMETER_FIELDS: list[tuple] = [
     ('heat_capacity', 'f8', (MOTORS,)),
     ('heat_to_air', 'f8', (MOTORS,)),
     ('air_temperature', 'f8', (MOTORS,)),
+    ('start_temperature', 'f8', (MOTORS,)),
+    ('motor_imperfect', 'i8', (MOTORS,)),
+    ('saturation', 'f8', (MOTORS,)),
+    ('phase_imbalance', 'f8', (MOTORS, 2)),
+    ('ripple_count', 'i8', (MOTORS,)),
+    ('ripple_order', 'f8', (MOTORS, RIPPLES)),
+    ('ripple_cosine', 'f8', (MOTORS, RIPPLES)),
+    ('ripple_sine', 'f8', (MOTORS, RIPPLES)),
 ]
 """
 Of a winding: resistance in ohm at the temperature `resistance_at` (degC) and its rise (1/K);
 inductance in H, back-EMF amplitude in V s/m or V s/rad. Of all windings of a motor together: heat
-capacity in J/K, zero if the motor does not warm up, and heat flow to the air in W/K.
+capacity in J/K, zero if the motor does not warm up, heat flow to the air in W/K, temperatures in
+degC. `motor_imperfect` tells whether what follows it is looked at at all; `saturation` is 1 / I_s^2
+in 1/A2, zero without.
 """
 
 STATE_FIELDS: list[tuple] = [
@@ -84,6 +119,7 @@ STATE_FIELDS: list[tuple] = [
     ('winding_phase', 'f8', (MOTORS, 3)),
     ('driven_current', 'f8', (MOTORS, 3)),
     ('current_per_speed', 'f8', (MOTORS,)),
+    ('phase_squares', 'f8', (MOTORS,)),
 ]
 """
 Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the
@@ -114,14 +150,155 @@ def heating_data(motor: Motor) -> dict[str, float]:
     """Return the thermal parameters of a motor; those of one that stays cold have no effect."""
     heating = motor.heating
     if heating is None:
-        return {'resistance_at': COLD_DEGC, 'air_temperature': COLD_DEGC}
+        return dict.fromkeys(('resistance_at', 'air_temperature', 'start_temperature'), COLD_DEGC)
     return {
         'resistance_at': heating.resistance_at,
         'resistance_rise': heating.coefficient,
         'heat_capacity': heating.capacity,
         'heat_to_air': 1.0 / heating.to_air,
         'air_temperature': heating.air,
+        'start_temperature': heating.start,
     }
+
+
+def imperfection_data(motor: Motor) -> dict[str, Any]:
+    """Return the parameters of a motor's imperfections, all zero where it has none."""
+    ripples = np.zeros((3, RIPPLES))
+    for place, ripple in enumerate(motor.ripple):
+        ripples[:, place] = ripple.order, ripple.cosine, ripple.sine
+    saturated = motor.saturation_current > 0.0
+    return {
+        'motor_imperfect': saturated or bool(motor.ripple) or any(motor.phase_imbalance),
+        'saturation': motor.saturation_current**-2 if saturated else 0.0,
+        'phase_imbalance': motor.phase_imbalance,
+        'ripple_count': len(motor.ripple),
+        'ripple_order': ripples[0],
+        'ripple_cosine': ripples[1],
+        'ripple_sine': ripples[2],
+    }
+
+
+def current_of_force(
+    parameters: np.ndarray, motor: int, electrical_angle: float, force: float
+) -> float:
+    """
+    Return the amplitude of line currents (A) in phase with the motor that makes `force` (N, Nm).
+
+    With a the force per ampere of the motor at that angle and c = 1 / I_s^2, the inverse of
+    F = a I / sqrt(1 + c I^2). Infinite if the saturated motor cannot make that force.
+    """
+    p = parameters[0]
+    constant = force_constant_at(p, motor, electrical_angle)
+    square = constant * constant - p['saturation'][motor] * force * force
+    return math.copysign(math.inf, force) if square <= 0.0 else force / math.sqrt(square)
+
+
+@compiled
+def winding_phases(winding, angle):
+    """Return s_1, s_2, s_3 of perfect windings at an electrical angle in rad."""
+    sine, cosine = sine_and_cosine(angle)
+    if winding == DELTA:
+        return (
+            _HALF_ROOT_3 * sine + 0.5 * cosine,
+            -cosine,
+            -_HALF_ROOT_3 * sine + 0.5 * cosine,
+        )
+    return sine, -0.5 * sine - _HALF_ROOT_3 * cosine, -0.5 * sine + _HALF_ROOT_3 * cosine
+
+
+@compiled
+def imperfect_phases(p, motor, angle):
+    """Return s_1, s_2, s_3 with imbalance and ripple, without saturation; see the module."""
+    first, second, third = winding_phases(p['winding'][motor], angle)
+    factor = 1.0
+    for place in range(p['ripple_count'][motor]):
+        sine, cosine = sine_and_cosine(p['ripple_order'][motor, place] * angle)
+        factor += p['ripple_cosine'][motor, place] * cosine
+        factor += p['ripple_sine'][motor, place] * sine
+    first *= factor * (1.0 + p['phase_imbalance'][motor, 0])
+    second *= factor * (1.0 + p['phase_imbalance'][motor, 1])
+    third *= factor
+    if p['winding'][motor] == WYE:
+        mean = (first + second + third) / 3.0
+        return first - mean, second - mean, third - mean
+    return first, second, third
+
+
+@compiled
+def saturation_factor(p, motor, first, second, third):
+    """Return g = 1 / sqrt(1 + (I / I_s)^2) at the three winding currents, A."""
+    if p['winding'][motor] == DELTA:
+        first, second = first - third, second - first
+    squared = (4.0 / 3.0) * (first * first + first * second + second * second)
+    return 1.0 / math.sqrt(1.0 + p['saturation'][motor] * squared)
+
+
+@compiled
+def winding_currents(winding, first, second):
+    """Return the three winding currents (A) of line currents 1, 2 with none round the triangle."""
+    third = -first - second
+    if winding == DELTA:
+        return (first - second) / 3.0, (second - third) / 3.0, (third - first) / 3.0
+    return first, second, third
+
+
+@compiled
+def linear_force(p, motor, angle, first, second):
+    """Return the force (N, Nm) of line currents 1, 2 (A), with all but saturation."""
+    one, two, three = winding_currents(p['winding'][motor], first, second)
+    phase_1, phase_2, phase_3 = imperfect_phases(p, motor, angle)
+    return p['back_emf'][motor] * (phase_1 * one + phase_2 * two + phase_3 * three)
+
+
+@compiled
+def force_of_line_currents(p, motor, angle, first, second):
+    """
+    Return the force (N, Nm) of a motor at an electrical angle (rad) with line currents 1, 2 (A).
+
+    With ripple, imbalance and saturation; without a current round the triangle of a delta; zero
+    where there is no motor.
+    """
+    one, two, three = winding_currents(p['winding'][motor], first, second)
+    return linear_force(p, motor, angle, first, second) * saturation_factor(
+        p, motor, one, two, three
+    )
+
+
+@compiled
+def lines_of_vector(angle, q, d):
+    """Return lines 1 and 2 of q sin(theta_k) + d cos(theta_k), theta_k = angle - 120 (k - 1)."""
+    sine, cosine = sine_and_cosine(angle)
+    first = q * sine + d * cosine
+    return first, _HALF_ROOT_3 * (d * sine - q * cosine) - 0.5 * first
+
+
+@compiled
+def force_at_angle(p, motor, angle, q, d):
+    """Return the force as `force_of_currents` does, at an electrical angle in rad."""
+    first, second = lines_of_vector(angle, q, d)
+    return force_of_line_currents(p, motor, angle, first, second)
+
+
+@compiled
+def force_constant_at(p, motor, angle):
+    """Return force per ampere of q at an electrical angle (rad), before saturation, N/A, Nm/A."""
+    first, second = lines_of_vector(angle, 1.0, 0.0)
+    return linear_force(p, motor, angle, first, second)
+
+
+@compiled
+def force_of_currents(s, p, motor, q, d):
+    """
+    Return the force (N, Nm) of a motor where it stands, for measured currents q and d (A).
+
+    q and d are peaks of the sine: line k carries q sin(theta_k) + d cos(theta_k), with theta_k the
+    electrical angle less 120 degrees for each line. So q is in phase with the back-EMF and makes
+    force; d leads it by 90 degrees and makes none, but adds to what saturates. Of a perfect motor
+    the force is q times `force_constant`. Leaves out a current round the triangle of a delta. For
+    models that are driven by measured currents: the windings of the state are not looked at.
+    """
+    position = p['motor_ratio'][motor] * s['position'][p['motor_coordinate'][motor]]
+    return force_at_angle(p, motor, p['electrical_gain'][motor] * position, q, d)
 
 
 @compiled
@@ -158,19 +335,13 @@ def begin_step(s, p, position, voltage, step):
             * p['motor_ratio'][motor]
             * position[p['motor_coordinate'][motor]]
         )
-        sine, cosine = sine_and_cosine(angle)
+        phase[0], phase[1], phase[2] = winding_phases(winding, angle)
         first = voltage[3 * motor]
         second = voltage[3 * motor + 1]
         third = voltage[3 * motor + 2]
         if winding == DELTA:
-            phase[0] = _HALF_ROOT_3 * sine + 0.5 * cosine
-            phase[1] = -cosine
-            phase[2] = -_HALF_ROOT_3 * sine + 0.5 * cosine
             first, second, third = first - second, second - third, third - first
         else:
-            phase[0] = sine
-            phase[1] = -0.5 * sine - _HALF_ROOT_3 * cosine
-            phase[2] = -0.5 * sine + _HALF_ROOT_3 * cosine
             star = (first + second + third) / 3.0
             first, second, third = first - star, second - star, third - star
         if s['terminals_open'][motor]:
@@ -191,6 +362,41 @@ def begin_step(s, p, position, voltage, step):
         s['current_per_speed'][motor] = (
             0.0 if s['terminals_open'][motor] else half * p['back_emf'][motor] / denominator
         )
+        s['phase_squares'][motor] = 1.5
+        if p['motor_imperfect'][motor]:
+            _distort(s, p, motor, angle, half * p['back_emf'][motor] / denominator)
+
+
+@compiled
+def _distort(s, p, motor, angle, current_per_speed):
+    """
+    Give the windings of a step their imperfect phases.
+
+    The current that saturates is the mean one of the step, with the speed that is expected of it.
+    Of an open delta only the mean of the three EMFs has a circuit, the triangle.
+    """
+    phase = s['winding_phase'][motor]
+    current = s['winding_current'][motor]
+    driven = s['driven_current'][motor]
+    phase[0], phase[1], phase[2] = imperfect_phases(p, motor, angle)
+    if s['terminals_open'][motor] and p['winding'][motor] == DELTA:
+        mean = (phase[0] + phase[1] + phase[2]) / 3.0
+        phase[0] = phase[1] = phase[2] = mean
+        s['current_per_speed'][motor] = current_per_speed
+    if p['saturation'][motor] > 0.0:
+        speed = p['motor_ratio'][motor] * s['middle_velocity'][p['motor_coordinate'][motor]]
+        slope = s['current_per_speed'][motor] * speed
+        slope *= saturation_factor(p, motor, current[0], current[1], current[2])
+        factor = saturation_factor(
+            p,
+            motor,
+            driven[0] - slope * phase[0],
+            driven[1] - slope * phase[1],
+            driven[2] - slope * phase[2],
+        )
+        for place in range(3):
+            phase[place] *= factor
+    s['phase_squares'][motor] = phase[0] * phase[0] + phase[1] * phase[1] + phase[2] * phase[2]
 
 
 @compiled
@@ -198,13 +404,13 @@ def force_and_damping(s, p, motor):
     """
     Return (f, d): the mean force of a motor over the step is f - d v, N and N s/m (Nm, Nm s/rad).
 
-    The squares of the three phases always sum to 3/2.
+    The squares of the three phases sum to 3/2 in a perfect motor.
     """
     phase = s['winding_phase'][motor]
     driven = s['driven_current'][motor]
     back_emf = p['back_emf'][motor]
     force = back_emf * (phase[0] * driven[0] + phase[1] * driven[1] + phase[2] * driven[2])
-    return force, 1.5 * back_emf * s['current_per_speed'][motor]
+    return force, s['phase_squares'][motor] * back_emf * s['current_per_speed'][motor]
 
 
 @compiled
@@ -298,8 +504,5 @@ def measure_line_currents(s, p, line_currents):
 def set_line_currents(state: np.ndarray, parameters: np.ndarray, motor: int, lines: tuple) -> None:
     """Set the winding currents of a motor from its line currents (1, 2), A, none circulating."""
     first, second = lines
-    third = -first - second
-    currents = np.array([first, second, third])
-    if parameters[0]['winding'][motor] == DELTA:
-        currents = (currents - np.roll(currents, -1)) / 3.0
-    state[0]['winding_current'][motor] = currents
+    winding = int(parameters[0]['winding'][motor])
+    state[0]['winding_current'][motor] = winding_currents(winding, first, second)

@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,25 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
-from waferbot_plant import elements, encoders, integrator, motors, multibody
+from waferbot_plant import (
+    constraints,
+    current_sensors,
+    disturbances,
+    elements,
+    encoders,
+    friction_laws,
+    integrator,
+    motors,
+    multibody,
+    spring_laws,
+)
 from waferbot_plant.assembly import Assembly, Element, assemble
 from waferbot_plant.description import Description, load_description
 
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
+
+_LOOK_AGAIN = 64
 
 
 @compiled
@@ -43,12 +57,27 @@ def measure(state, parameters, tick, counts, line_currents):
 
     `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
     ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of
-    each motor, A, positive into the motor. Places of axes that the machine does not have are zero.
+    each motor as its sensors show them, A, positive into the motor. Places of axes that the
+    machine does not have are zero.
     """
     s = state[0]
     p = parameters[0]
     encoders.measure_counts(s, p, tick, counts)
-    motors.measure_line_currents(s, p, line_currents)
+    current_sensors.measure_currents(s, p, tick, line_currents)
+
+
+@compiled
+def find_imperfections(s, p):
+    """
+    Find which parts of the model the parameters ask for: held coordinates, laws of friction and
+    of springs.
+
+    `advance` does so at the start of a run and then at least every 64 ticks, which is when a change
+    of these parameters in a running machine is noticed; a plain machine does not pay for looking.
+    """
+    constraints.find_held(s, p)
+    friction_laws.find_friction_laws(s, p)
+    spring_laws.find_spring_laws(s, p)
 
 
 @compiled
@@ -61,6 +90,10 @@ def advance(state, parameters, voltage):
     """
     s = state[0]
     p = parameters[0]
+    if s['steps'] & (_LOOK_AGAIN - 1) == 0:
+        find_imperfections(s, p)
+    if p['disturbances'] > 0:
+        disturbances.draw_noise(s, p)
     for _ in range(p['substeps']):
         integrator.advance_step(s, p, voltage, p['step'])
 
@@ -113,15 +146,17 @@ def generalised_forces(state, parameters, result):
     """
     Fill `result` (n,) with the forces on z at the present state, N or Nm.
 
-    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects; not of dry friction,
-    motors and `external_force`.
+    Of springs, dampers, cables, gravity, Coriolis and centrifugal effects, and disturbances; not of
+    dry friction, motors, a vibrating floor and `external_force`.
     """
     s = state[0]
     p = parameters[0]
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     for row in range(len(result)):
         result[row] = -s['bias'][row]
+    spring_laws.find_spring_laws(s, p)
     elements.subtract_instant_forces(s, p, s['position'], s['velocity'], result)
+    disturbances.add_instant_disturbances(s, p, s['position'], s['velocity'], result)
 
 
 @compiled
@@ -134,13 +169,19 @@ def acceleration(state, parameters, force, result):
     use it.
     """
     s = state[0]
+    p = parameters[0]
     generalised_forces(state, parameters, result)
     for row in range(len(result)):
         result[row] += force[row]
         for column in range(row + 1):
             s['factors'][row, column] = s['mass_matrix'][row, column]
+    constraints.find_held(s, p)
+    if s['any_held']:
+        constraints.impose(s, s['factors'], result, 0.0)
     multibody.factorise(s['factors'])
     multibody.solve(s['factors'], result)
+    if s['any_held']:
+        constraints.follow(s, result, 0.0)
 
 
 @compiled
@@ -149,13 +190,17 @@ def energy(state, parameters, result):
     Fill `result` (4,) with the stored energies, J: kinetic, gravity, elastic, magnetic.
 
     Gravity is zero with every body at the base origin, springs and cables where they are unloaded.
+    Elastic includes the potential of periodic disturbances and the bristles of friction.
     """
     s = state[0]
     p = parameters[0]
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     result[0] = multibody.kinetic_energy(s, p, s['velocity'])
     result[1] = multibody.gravity_energy(s, p)
+    spring_laws.find_spring_laws(s, p)
     result[2] = elements.elastic_energy(s, p, s['position'])
+    result[2] += disturbances.stored_in_periodic(p, s['position'])
+    result[2] += friction_laws.stored_in_bristles(s, p)
     result[3] = motors.magnetic_energy(s, p)
 
 
@@ -191,10 +236,15 @@ class Machine:
                 ('substeps', 'i8'),
                 *multibody.parameter_fields(links, size),
                 *elements.parameter_fields(**self._sizes),
+                *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
+                *friction_laws.parameter_fields(self._sizes['frictions']),
+                *spring_laws.parameter_fields(self._sizes['springs']),
                 *motors.PARAMETER_FIELDS,
                 *encoders.PARAMETER_FIELDS,
+                *current_sensors.PARAMETER_FIELDS,
                 ('axis_coordinate', 'i8', (len(AXES),)),
                 ('axis_ratio', 'f8', (len(AXES),)),
+                *disturbances.PARAMETER_FIELDS,
             ],
             align=True,
         )
@@ -210,6 +260,10 @@ class Machine:
                 *encoders.STATE_FIELDS,
                 *elements.state_fields(**self._sizes, coordinates=size),
                 *multibody.workspace_fields(links, size),
+                *constraints.state_fields(size),
+                *disturbances.state_fields(size),
+                *friction_laws.state_fields(self._sizes['frictions'], size),
+                *spring_laws.state_fields(self._sizes['springs']),
             ],
             align=True,
         )
@@ -223,6 +277,7 @@ class Machine:
         p['step'] = self.timing.tick_s / description.substeps
         self._fill_mechanism(p)
         self._fill_elements(p)
+        self._fill_disturbances(p)
         for place, axis in enumerate(AXES):
             if axis in description.axes:
                 row, ratio = self._placing(description.axes[axis])
@@ -238,16 +293,20 @@ class Machine:
                     p['inductance'][place],
                     p['back_emf'][place],
                 ) = motors.winding_data(motor)
-                for name, value in motors.heating_data(motor).items():
-                    p[name][place] = value
+                _fill_place(p, place, motors.heating_data(motor))
+                _fill_place(p, place, motors.imperfection_data(motor))
+            if axis in description.current_sensors:
+                sensors = description.current_sensors[axis]
+                _fill_place(p, place, current_sensors.sensor_data(sensors))
         for place, place_name in enumerate(ENCODERS):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
                 row, ratio = self._placing(encoder.coordinate)
                 p['encoder_coordinate'][place] = row
-                p['counts_per_unit'][place] = encoder.counts_per_unit * ratio
+                _fill_place(
+                    p, place, encoders.encoder_data(encoder, ratio, description.encoder_delay)
+                )
         p['encoder_divider'] = self.timing.encoder_divider
-        p['encoder_delay'] = description.encoder_delay
         return parameters
 
     def _placing(self, coordinate: str) -> tuple[int, float]:
@@ -275,6 +334,11 @@ class Machine:
         """Write springs, cables and frictions."""
         _fill_two_sided(p, 'spring', self.assembly.springs)
         _fill_two_sided(p, 'cable', self.assembly.cables)
+        p['spring_slack_force'] = p['spring_slip'] = np.inf
+        p['spring_slack_slope'] = 1.0
+        for place, spring in enumerate(self.assembly.springs):
+            for name, value in spring.law.items():
+                p[f'spring_{name}'][place] = value
         p['friction_points'] = 1
         for place, friction in enumerate(self.description.frictions.values()):
             points = len(friction.speeds)
@@ -284,6 +348,37 @@ class Machine:
             p['friction_speed'][place, :points] = friction.speeds
             p['friction_resistance'][place, :points] = friction.resistances
             p['friction_breakaway'][place] = friction.breakaway
+            for name, value in friction.law.items():
+                p[f'friction_{name}'][place] = value
+
+    def _fill_disturbances(self, p: np.void) -> None:
+        """Write the forces from outside and the floor."""
+        description = self.description
+        p['disturbances'] = len(description.disturbances)
+        p['disturbance_points'] = 1
+        for slot, force in enumerate(description.disturbances.values()):
+            row, ratio = self._placing(force.coordinate)
+            points = len(force.at)
+            values = {
+                'kind': disturbances.KINDS.index(force.kind),
+                'coordinate': row,
+                'ratio': ratio,
+                'constant': force.constant,
+                'cosine': force.cosine,
+                'sine': force.sine,
+                'wave': force.wave_number,
+                'rms': force.rms,
+                'pole': np.exp(-2.0 * np.pi * force.bandwidth * self.timing.tick_s),
+                'seed': force.seed,
+                'points': points,
+            }
+            for name, value in values.items():
+                p[f'disturbance_{name}'][slot] = value
+            p['disturbance_at'][slot, :points] = force.at
+            p['disturbance_value'][slot, :points] = force.values
+        p['vibration_acceleration'] = description.vibration.acceleration
+        p['vibration_frequency'] = description.vibration.frequency
+        p['vibration_phase'] = description.vibration.phase
 
     def initial_state(
         self,
@@ -299,7 +394,7 @@ class Machine:
         where gravity moves an axis; with it the windings carry the currents that hold the axes.
         """
         state = np.zeros(1, self.state_dtype)
-        state['winding_temperature'] = parameters['air_temperature']
+        state['winding_temperature'] = parameters['start_temperature']
         if positions or holding:
             from waferbot_plant.statics import settle
 
@@ -339,9 +434,13 @@ class Machine:
 
 def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None:
     """Fill the encoders' history as if the machine had always stood where it is."""
-    for encoder in range(encoders.ENCODERS):
-        count = encoders.read_encoder(parameters[0], state[0]['position'], encoder)
-        state[0]['readings'][:, encoder] = count
+    encoders.fill_readings(state[0], parameters[0])
+
+
+def _fill_place(p: np.void, place: int, values: Mapping[str, Any]) -> None:
+    """Write the parameters of one axis or encoder, by name, into its place."""
+    for name, value in values.items():
+        p[name][place] = value
 
 
 def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None:
@@ -362,6 +461,7 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
         }
         for name, value in values.items():
             p[f'{kind}_{name}'][place] = value
+        p[f'{kind}_held'][place] = element.held
 
 
 def config_folder() -> Path:
@@ -416,7 +516,7 @@ def load_machine(
     Text with line breaks is taken as the description itself, as a recording holds it.
 
     `timing` gives the length of a tick and how many lie between two readings of the encoders.
-    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
+    `switches` makes connections `rigid`, `held` or `flexible`, all or by name; `damping` is `calculated`
     or `improved`; `overlays` are files or mappings laid over the description in turn. Raises
     `UserError`.
     """

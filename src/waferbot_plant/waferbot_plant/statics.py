@@ -9,7 +9,9 @@ the motors' forces F are what is left over on their coordinates:
 
 Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope;
 gravity changes the slope by parts in a thousand, so that each iteration gains about three digits.
-Dry friction is left out: it could hold more or less.
+Dry friction is left out: it could hold more or less. Held coordinates stand still, and what holds
+them takes what force it needs: with z' = T y' (see `constraints`) the equations are those above
+times T'.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import elements, motors, plant
+from waferbot_plant import constraints, elements, motors, plant, spring_laws
 from waferbot_plant.plant import Machine
 
 _ITERATIONS = 60
@@ -59,11 +61,9 @@ def settle(
     if not holding:
         return
     for axis, force in forces.items():
-        motor = description.motors[axis]
-        amplitude = force / motors.force_constant(motor)
         place = AXES.index(axis)
-        row, ratio = machine.assembly.placing[motor.coordinate]
-        angle = motor.electrical_gain * ratio * s['position'][row]
+        angle = _electrical_angle(machine, state, axis)
+        amplitude = _amplitude(machine, parameters, axis, force, angle)
         lines = amplitude * np.sin(angle - 2.0 * np.pi / 3.0 * np.arange(2))
         motors.set_line_currents(state, parameters, place, (float(lines[0]), float(lines[1])))
 
@@ -72,20 +72,51 @@ def holding_forces(
     machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the force (N) or torque (Nm) of each motor that holds the axes at `positions`."""
-    state = np.zeros(1, machine.state_dtype)
-    state[0]['position'] = _with_axes_at(machine, positions)
-    return _balance(machine, state, parameters, True)
+    return _held(machine, parameters, positions)[1]
 
 
 def holding_currents(
     machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
 ) -> dict[str, float]:
     """Return the current command, A peak of sine, that holds each axis at `positions`."""
-    forces = holding_forces(machine, parameters, positions)
+    state, forces = _held(machine, parameters, positions)
     return {
-        axis: force / motors.force_constant(machine.description.motors[axis])
+        axis: _amplitude(machine, parameters, axis, force, _electrical_angle(machine, state, axis))
         for axis, force in forces.items()
     }
+
+
+def _held(
+    machine: Machine, parameters: NDArray[np.void], positions: Mapping[str, float]
+) -> tuple[NDArray[np.void], dict[str, float]]:
+    """Return the state of equilibrium with the axes at `positions`, and the motors' forces."""
+    state = np.zeros(1, machine.state_dtype)
+    state[0]['position'] = _with_axes_at(machine, positions)
+    forces = _balance(machine, state, parameters, True)
+    return state, forces
+
+
+def _electrical_angle(machine: Machine, state: NDArray[np.void], axis: str) -> float:
+    """Return the electrical angle of an axis' motor at a state, rad."""
+    motor = machine.description.motors[axis]
+    row, ratio = machine.assembly.placing[motor.coordinate]
+    return float(motor.electrical_gain * ratio * state[0]['position'][row])
+
+
+def _amplitude(
+    machine: Machine, parameters: NDArray[np.void], axis: str, force: float, angle: float
+) -> float:
+    """Return the amplitude of line currents (A) with which a motor makes a force (N, Nm)."""
+    place = AXES.index(axis)
+    if not parameters[0]['motor_imperfect'][place]:
+        return force / motors.force_constant(machine.description.motors[axis])
+    amplitude = motors.current_of_force(parameters, place, angle, force)
+    if not np.isfinite(amplitude):
+        raise NoEquilibrium(
+            f'{machine.description.name}: the motor of {axis} cannot hold {force:.4g} N or Nm: '
+            f'it saturates (motors.{axis}.saturation_current_a)'
+        )
+    return amplitude
 
 
 def reactions(
@@ -96,34 +127,56 @@ def reactions(
     springs.
 
     Positive where a deflection in the positive sense would load the spring, and for tension.
+    Without those that are held, whose force does not follow from a deflection.
     """
     s, p = state[0], parameters[0]
+    constraints.find_held(s, p)
+    spring_laws.find_spring_laws(s, p)
     elements.judge_cables(s, p, s['position'], s['velocity'])
     found = {
-        element.name: elements.spring_force(p, place, s['position'], s['velocity'])
+        element.name: spring_laws.force_and_arms_now(s, p, place, s['position'], s['velocity'])[0]
         for place, element in enumerate(machine.assembly.springs)
-        if element.connections
+        if element.connections and not p['spring_held'][place]
     }
     for place, element in enumerate(machine.assembly.cables):
-        found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
+        if not p['cable_held'][place]:
+            found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
     return found
 
 
-def elastic_stiffness(machine: Machine) -> NDArray[np.float64]:
-    """Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad."""
+def elastic_stiffness(
+    machine: Machine,
+    parameters: NDArray[np.void] | None = None,
+    state: NDArray[np.void] | None = None,
+) -> NDArray[np.float64]:
+    """
+    Return the stiffness matrix of springs and taut cables, (n, n), N/m, N/rad or Nm/rad.
+
+    That of the description, or of `parameters` where given; with `state`, springs that are not linear
+    have their slope there.
+    """
+    p = (machine.parameters() if parameters is None else parameters)[0]
     size = len(machine.coordinates)
     stiffness = np.zeros((size, size))
-    for element in (*machine.assembly.springs, *machine.assembly.cables):
-        arms = np.zeros(size)
-        for place, ratio in element.terms:
-            arms[place] += ratio
-        stiffness += element.stiffness * np.outer(arms, arms)
+    for kind, two_sided in (
+        ('spring', machine.assembly.springs),
+        ('cable', machine.assembly.cables),
+    ):
+        for spring, element in enumerate(two_sided):
+            arms = np.zeros(size)
+            for place, ratio in element.terms:
+                arms[place] += ratio
+            slope = p[f'{kind}_stiffness'][spring]
+            if state is not None and kind == 'spring':
+                slope = spring_laws.stiffness_now(state[0], p, spring, state[0]['position'])
+            stiffness += slope * np.outer(arms, arms)
     return stiffness
 
 
 def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[np.float64]:
     """Return z with the axes at their positions and what is driven or driving along with them."""
     position = np.zeros(len(machine.coordinates))
+    placing = machine.assembly.placing
     known = set()
     for axis, coordinate in machine.description.axes.items():
         place, ratio = machine.assembly.placing[coordinate]
@@ -143,6 +196,10 @@ def _with_axes_at(machine: Machine, positions: Mapping[str, float]) -> NDArray[n
                     place, ratio = machine.assembly.placing[other]
                     position[place] = value / ratio
                     known.add(other)
+    for cable in machine.assembly.cables:
+        (driving, ratio), (rope, _) = cable.terms
+        if machine.coordinates[rope] not in placing:
+            position[rope] = ratio * position[driving]
     return position
 
 
@@ -153,22 +210,26 @@ def _balance(
     description = machine.description
     placing = machine.assembly.placing
     size = len(machine.coordinates)
-    held = {placing[coordinate][0] for coordinate in description.axes.values()}
-    free = [row for row in range(size) if row not in held]
+    leaders = constraints.leaders(state, parameters)
+    given = {leaders[placing[coordinate][0]] for coordinate in description.axes.values()}
+    motions = constraints.free_motions(state, parameters)
+    free = motions[:, [not given.intersection(np.nonzero(motion)[0]) for motion in motions.T]]
     axes = [axis for axis in description.axes if axis in description.motors]
     arms = np.zeros((size, len(axes)))
     for column, axis in enumerate(axes):
         row, ratio = placing[description.motors[axis].coordinate]
         arms[row, column] = ratio
-    stiffness = elastic_stiffness(machine)
-    slope = np.hstack([stiffness[:, free], -arms])
-    if not needed and not free:
+    if not needed and not free.size:
         return {}
     forces = np.zeros(len(axes))
     residual = np.zeros(size)
+    slope = None
     for _ in range(_ITERATIONS):
         plant.generalised_forces(state, parameters, residual)
-        unbalanced = residual + arms @ forces
+        if slope is None or state[0]['any_spring_law']:
+            stiffness = elastic_stiffness(machine, parameters, state)
+            slope = motions.T @ np.hstack([stiffness @ free, -arms])
+        unbalanced = motions.T @ (residual + arms @ forces)
         correction, _, rank, _ = np.linalg.lstsq(slope, unbalanced, rcond=1e-14)
         if rank < slope.shape[1] or np.abs(slope @ correction - unbalanced).max() > 1e-6 * (
             1.0 + np.abs(unbalanced).max()
@@ -179,8 +240,8 @@ def _balance(
                 f'{description.name}: no static equilibrium; '
                 'a coordinate is held neither by a motor nor by a spring'
             )
-        state[0]['position'][free] += correction[: len(free)]
-        forces += correction[len(free) :]
+        state[0]['position'] += free @ correction[: free.shape[1]]
+        forces += correction[free.shape[1] :]
         if np.abs(unbalanced).max() < 1e-10 * (1.0 + np.abs(residual).max()):
             break
     return dict(zip(axes, forces.tolist(), strict=True))

@@ -9,6 +9,9 @@ that
 - Ixx03 and Ixx04 hold the place of an encoder in the contract (0 `y_linear`, 1 `x_rotate`,
   2 `y_rotate_load`, 3 `y_rotate_motor`), where the controller holds the address of an entry of its
   encoder conversion table;
+- `feedback_filter` stands for the exponential filter of that table;
+- `command_delay` is what the way from the servo's result to the amplifier takes beyond the usual:
+  no setting of the controller, but of the ring and the amplifier's interface;
 - `counts_per_unit` stands for the controller's axis definition statement, and
   `amplifier_peak_current` for the scaling of the amplifier's command (thesis, chapter 3:
   "transconductance").
@@ -29,6 +32,7 @@ from waferbot_lockstep.parameters import Parameter, check_settings, check_value
 LARGEST_24_BIT = 2**23 - 1
 SMALLEST_24_BIT = -(2**23)
 NOTCH_FRACTIONAL_BITS = 22
+LONGEST_COMMAND_DELAY = 8
 
 
 def _whole(
@@ -211,6 +215,25 @@ MOTOR_SETTINGS: tuple[Parameter, ...] = (
         'Current that the amplifier makes of 32768 DAC bits, peak of the sine in a line',
         fixed=True,
     ),
+    Parameter(
+        'feedback_filter',
+        0.0,
+        'servo interrupts',
+        0.0,
+        10000.0,
+        'Time constant of a first-order low-pass on both feedback encoders; 0: none. Its cut-off is '
+        'about the servo rate over 2 pi times it',
+        fixed=True,
+    ),
+    _whole(
+        'command_delay',
+        0,
+        'servo interrupts',
+        0,
+        LONGEST_COMMAND_DELAY,
+        'Servo interrupts from the result of the servo to the command that goes out, beyond none',
+        fixed=True,
+    ),
 )
 """What a controller keeps elsewhere than in I-variables."""
 
@@ -222,7 +245,7 @@ _DEFAULTS_OF_AXIS: dict[str, dict[str, int | float]] = {
     'y_rotate': {'Ixx03': 2, 'Ixx04': 3, 'counts_per_unit': COUNTS_PER_RADIAN},
 }
 
-_USED_AS_INTEGER = ('Ixx03', 'Ixx04', 'Ixx24', 'Ixx34', 'Ixx60', 'Ixx96')
+_USED_AS_INTEGER = ('Ixx03', 'Ixx04', 'Ixx24', 'Ixx34', 'Ixx60', 'Ixx96', 'command_delay')
 
 SERVO_PARAMETERS = np.dtype(
     [

@@ -28,10 +28,21 @@ unit.
 
 Order of one cycle
 ------------------
-Read the encoders; CP, CV, CA; following error and its fatal and warning limits (Ixx11, Ixx12, and
-Ixx63 < 0); limit the error (Ixx67); deadband (Ixx64, Ixx65); sum of P, I, feedforwards and D,
-times Ixx30; notch (Ixx36-39); friction feedforward (Ixx68) and bias (Ixx29); output limit (Ixx69);
-integrator for the next cycle; current protection (Ixx57, Ixx58); current.
+Read the encoders and filter them (`feedback_filter`); CP, CV, CA; following error and its fatal and
+warning limits (Ixx11, Ixx12, and Ixx63 < 0); limit the error (Ixx67); deadband (Ixx64, Ixx65); sum of
+P, I, feedforwards and D, times Ixx30; notch (Ixx36-39); friction feedforward (Ixx68) and bias
+(Ixx29); output limit (Ixx69); integrator for the next cycle; current protection (Ixx57, Ixx58);
+current, `command_delay` servo interrupts later.
+
+Filter and delay are off by default. The filter is the exponential one of the encoder conversion
+table, run at every servo interrupt,
+
+    y(n) = y(n-1) + (x(n) - y(n-1)) / (1 + tau)
+
+with tau in servo interrupts: at low frequencies a delay by tau, at high ones an attenuation of
+1 / (1 + 2 tau). Its result goes on with 5 binary fractions of a count, as the table's entries do. The
+delay acts on what leaves the controller, the state reports the servo's result without it; a motor
+that is killed is off at once. At the start the delayed command is the first result.
 
 Assumptions where the manuals are silent: the commanded position is rounded to the nearest register
 unit; the deadband acts on the error that both the proportional term and the integrator see; fatal
@@ -45,7 +56,11 @@ import numpy as np
 
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES
-from waferbot_pmac.i_variables import SERVO_PARAMETERS, servo_parameters
+from waferbot_pmac.i_variables import (
+    LONGEST_COMMAND_DELAY,
+    SERVO_PARAMETERS,
+    servo_parameters,
+)
 
 __all__ = [
     'AMPLIFIER_I2T',
@@ -82,6 +97,7 @@ VELOCITY_GAIN = 2.0**-7  # of Ixx31, Ixx32 and Ixx35
 INTEGRATOR_UNITS = 2.0**23  # integrator register units per position register unit
 OUTPUT_GAIN = 2.0**-24  # DAC units per register unit and Ixx30
 DAC_RANGE = 32768.0
+TABLE_FRACTION = 32.0  # the encoder conversion table has 5 bits below the count
 DAC_WORD_FRACTION = 256.0  # the 24-bit command word has 8 bits below the DAC's 16
 
 KILL_SCOPE_SHIFT = 21  # of Ixx24
@@ -111,6 +127,10 @@ SERVO_STATE = np.dtype(
         ('notch_output', 'f8', (MOTORS, 2)),
         ('current_integral', 'f8', (MOTORS,)),  # of the I2T protection, in units of Ixx58
         ('interrupts_to_wait', 'i8', (MOTORS,)),  # until the next cycle of this motor (Ixx60)
+        ('filtered_feedback', 'f8', (MOTORS, 2)),  # counts: of the position, the velocity encoder
+        # DAC units: results that wait to go out, the newest at place 0; none if `delaying` is 0
+        ('waiting_output', 'f8', (MOTORS, LONGEST_COMMAND_DELAY)),
+        ('delaying', 'u1', (MOTORS,)),
     ],
     align=True,
 )
@@ -155,6 +175,9 @@ def prime(state, parameters, counts, commanded_position):
             s['notch_output'][i, k] = 0.0
         s['current_integral'][i] = 0.0
         s['interrupts_to_wait'][i] = 0
+        s['filtered_feedback'][i, 0] = counts[p['Ixx03'][i]]
+        s['filtered_feedback'][i, 1] = counts[p['Ixx04'][i]]
+        s['delaying'][i] = 0
         s['commanded_position'][i] = command / scale
         s['following_error'][i] = command / scale - counts[p['Ixx03'][i]]
         s['output'][i] = 0.0
@@ -184,11 +207,13 @@ def step(state, parameters, counts, commanded_position, current):
     p = parameters[0]
     kill_all = False
     for i in range(MOTORS):
+        position_counts = _feedback(s, p, i, 0, counts[p['Ixx03'][i]])
+        velocity_counts = _feedback(s, p, i, 1, counts[p['Ixx04'][i]])
         if s['interrupts_to_wait'][i] > 0:
             s['interrupts_to_wait'][i] -= 1
         else:
             s['interrupts_to_wait'][i] = p['Ixx60'][i]
-            _close_loop(s, p, i, counts, commanded_position[i])
+            _close_loop(s, p, i, position_counts, velocity_counts, commanded_position[i])
         _protect_amplifier(s, p, i)
         if s['faults'][i] != 0:
             s['killed'][i] = 1
@@ -197,25 +222,60 @@ def step(state, parameters, counts, commanded_position, current):
     for i in range(MOTORS):
         if kill_all or s['killed'][i] != 0:
             _kill(s, i)
-        current[i] = s['output'][i] * p['amplifier_peak_current'][i] / DAC_RANGE
+        current[i] = _delayed_output(s, p, i) * p['amplifier_peak_current'][i] / DAC_RANGE
 
 
 @compiled
-def _close_loop(s, p, i, counts, commanded_position):
-    """Run the servo law once for motor i; leaves its command in `s['output'][i]`, DAC units."""
+def _feedback(s, p, i, place, counts):
+    """Return the counts of an encoder as the loop sees them; place 0 position, 1 velocity."""
+    if p['feedback_filter'][i] == 0.0:
+        return float(counts)
+    filtered = s['filtered_feedback'][i, place]
+    filtered += (counts - filtered) / (1.0 + p['feedback_filter'][i])
+    s['filtered_feedback'][i, place] = filtered
+    return np.floor(filtered * TABLE_FRACTION + 0.5) / TABLE_FRACTION
+
+
+@compiled
+def _delayed_output(s, p, i):
+    """Return the command of motor i that goes out now, DAC units, and keep the newest."""
+    delay = p['command_delay'][i]
+    newest = s['output'][i]
+    if delay == 0 or s['killed'][i] != 0:
+        s['delaying'][i] = 0
+        return newest
+    waiting = s['waiting_output'][i]
+    if s['delaying'][i] == 0:
+        s['delaying'][i] = 1
+        for place in range(LONGEST_COMMAND_DELAY):
+            waiting[place] = newest
+    out = waiting[delay - 1]
+    for place in range(LONGEST_COMMAND_DELAY - 1, 0, -1):
+        waiting[place] = waiting[place - 1]
+    waiting[0] = newest
+    return out
+
+
+@compiled
+def _close_loop(s, p, i, position_counts, velocity_counts, commanded_position):
+    """
+    Run the servo law once for motor i; leaves its command in `s['output'][i]`, DAC units.
+
+    `position_counts` and `velocity_counts` are those of its encoders, with binary fractions.
+    """
     scale = REGISTERS_PER_COUNT * p['Ixx08'][i]
     sixteenth = REGISTERS_PER_SIXTEENTH * p['Ixx08'][i]
 
     command = np.floor(commanded_position * scale + 0.5)
     command_velocity = command - s['previous_command'][i]
     command_acceleration = command_velocity - s['previous_command_velocity'][i]
-    velocity_feedback = counts[p['Ixx04'][i]] * REGISTERS_PER_COUNT * p['Ixx09'][i]
+    velocity_feedback = velocity_counts * REGISTERS_PER_COUNT * p['Ixx09'][i]
     velocity = velocity_feedback - s['previous_velocity_feedback'][i]
     s['previous_command'][i] = command
     s['previous_command_velocity'][i] = command_velocity
     s['previous_velocity_feedback'][i] = velocity_feedback
 
-    following_error = command - counts[p['Ixx03'][i]] * scale
+    following_error = command - position_counts * scale
     s['commanded_position'][i] = command / scale
     s['following_error'][i] = following_error / scale
 

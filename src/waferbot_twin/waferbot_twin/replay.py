@@ -151,7 +151,7 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
         counts = np.ascontiguousarray(encoders['counts'][rows])
         commanded = np.ascontiguousarray(state['commanded_position'])
         currents = np.zeros((len(counts), 3))
-        _replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, currents)
+        replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, currents)
         outputs[CURRENT_COMMAND] = _first(recording[CURRENT_COMMAND], len(currents))
         outputs[CURRENT_COMMAND]['current'] = currents[: len(outputs[CURRENT_COMMAND])]
     else:
@@ -215,7 +215,7 @@ def _replay_plant(
 
 
 @compiled
-def _replay_servo(state, parameters, counts, commanded, current_out):
+def replay_servo(state, parameters, counts, commanded, current_out):
     """Drive the servo by counts (n, 4) and commanded positions (n, 3); fill commands (n, 3)."""
     servo.prime(state, parameters, counts[0], commanded[0])
     for cycle in range(counts.shape[0]):

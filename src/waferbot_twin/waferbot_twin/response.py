@@ -17,6 +17,7 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.commutation import driving_part, electrical_angle, three_lines
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.metrics import StepMetrics, rms, step_metrics
 from waferbot_twin.models import recorded_model
@@ -178,15 +179,5 @@ def _driving_current(
 
     theta is the electrical angle that the amplifier uses: newest counts, held between messages.
     """
-    encoder = amplifier['commutation_encoder'][axis]
-    rows = np.searchsorted(encoders[0], currents[0], side='right') - 1
-    counts = encoders[1][np.maximum(rows, 0), encoder]
-    cycle = amplifier['counts_per_electrical_cycle'][axis]
-    turn = counts / cycle + amplifier['commutation_offset_turn'][axis]
-    theta = 2.0 * np.pi * (turn % 1.0)
-    one, two = currents[1][:, 2 * axis], currents[1][:, 2 * axis + 1]
-    projected = sum(
-        current * np.sin(theta - 2.0 * np.pi * phase / 3.0)
-        for phase, current in enumerate((one, two, -(one + two)))
-    )
-    return 2.0 / 3.0 * projected
+    theta = electrical_angle(currents[0], axis, amplifier, encoders)
+    return driving_part(three_lines(currents[1], axis), theta)

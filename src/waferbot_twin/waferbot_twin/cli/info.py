@@ -11,6 +11,8 @@ from rich.table import Table
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_twin.cli.console import print_json, result_console
+from waferbot_twin.cli.import_log import show
+from waferbot_twin.logs import archive
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.reader import Recording, read_recording
 
@@ -26,6 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Read the recording and describe it."""
     recording = read_recording(options.recording)
+    if archive.ATTACHMENT in recording.attachments:
+        return _tell_measured(options)
     result = describe(recording)
     if options.json:
         print_json(result)
@@ -51,6 +55,19 @@ def execute(options: argparse.Namespace) -> int:
         print('  attached: ' + ', '.join(sorted(recording.attachments)))
     for name, version in sorted(run.get('versions', {}).items()):
         print(f'  {name} {version}')
+    return 0
+
+
+def _tell_measured(options: argparse.Namespace) -> int:
+    """Describe a measured log that was imported."""
+    from waferbot_twin.logs.load import load_log
+
+    log = load_log(options.recording)
+    if options.json:
+        print_json({'path': str(options.recording), **log.describe()})
+    else:
+        print(f'{options.recording}: measured log, imported from {log.source}')
+        show(log)
     return 0
 
 

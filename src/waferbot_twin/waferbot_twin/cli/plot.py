@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draw a recording: position, following error and current of each axis."""
+"""Draw a recording or an imported log: position, following error and current of each axis."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.logs.archive import ATTACHMENT
 from waferbot_twin.recording.reader import read_recording
 
 FORMATS = ('.png', '.svg', '.pdf')
@@ -24,14 +25,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Read the recording and draw it."""
-    from waferbot_twin.plot import plot_recording
-
     path: Path = options.recording
     recording = read_recording(path)
     folder = path if path.is_dir() else path.parent
     out = options.out or folder / 'plot.png'
     if out.suffix not in FORMATS:
         raise UserError(f'--out is {out}; give a file that ends in {", ".join(FORMATS)}')
-    plot_recording(recording, out)
+    if ATTACHMENT in recording.attachments:
+        from waferbot_twin.logs.load import load_log
+        from waferbot_twin.logs.picture import plot_log
+
+        plot_log(load_log(path), out)
+    else:
+        from waferbot_twin.plot import plot_recording
+
+        plot_recording(recording, out)
     print(out)
     return 0

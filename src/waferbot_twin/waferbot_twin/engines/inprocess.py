@@ -266,17 +266,27 @@ def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
 class SignalRecorder:
     """Writes signals as the messages that the nodes would have sent."""
 
-    def __init__(self, writer: RecordingWriter, timing: Timing) -> None:
-        """Declare the topics."""
+    def __init__(
+        self,
+        writer: RecordingWriter,
+        timing: Timing,
+        topics: Sequence[Topic] = CONTRACT_TOPICS,
+        standard_topics: bool = True,
+    ) -> None:
+        """Declare the topics: all of the contract and the standard ones, or only some."""
         self._writer = writer
         self._timing = timing
-        self._account = Account(timing)
+        self._account = Account(
+            timing, {topic: 0 for topic in CONTRACT_TOPICS if topic not in topics}
+        )
         self._wire = {}
-        for topic in CONTRACT_TOPICS:
+        for topic in topics:
             writer.add_topic(f'/{topic.name}', topic.type_name)
             self._wire[topic] = WireFormat(getattr(waferbot_msgs.msg, topic.message))
-        writer.add_topic(*CLOCK)
-        writer.add_topic(f'/{JOINT_STATES[0]}', JOINT_STATES[1])
+        self._standard_topics = standard_topics
+        if standard_topics:
+            writer.add_topic(*CLOCK)
+            writer.add_topic(f'/{JOINT_STATES[0]}', JOINT_STATES[1])
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
@@ -303,6 +313,8 @@ class SignalRecorder:
             ),
         )
         for order, (topic, ticks, valid, values) in enumerate(tables):
+            if topic not in self._wire:
+                continue
             records = self._wire[topic].blank(len(ticks))
             records['tick'] = ticks
             stamps = [self._timing.stamp_ns(int(tick)) for tick in ticks]
@@ -318,7 +330,7 @@ class SignalRecorder:
             for row, stamp in enumerate(stamps):
                 account.is_new(int(records['tick'][row]), int(records['valid'][row]))
                 messages.append((stamp, order, name, records[row].tobytes()))
-        for row, tick in enumerate(signals.slow_ticks):
+        for row, tick in enumerate(signals.slow_ticks if self._standard_topics else ()):
             stamp = self._timing.stamp_ns(tick)
             messages.append((stamp, -2, CLOCK[0], clock_message(stamp)))
             joints = joint_state_message(
@@ -385,6 +397,7 @@ def _advance(
     """
     position_encoder = servo_parameters[0]['Ixx03']
     target = np.empty(3)
+    i2t = np.zeros((2, 3))
     limits = np.zeros(3, np.uint8)
     faults = np.zeros(3, np.uint32)
     encoder_row = 0
@@ -441,12 +454,15 @@ def _advance(
                 amplifier_state,
                 amplifier_parameters,
                 axes,
-                amplifier_i2t[amplifier_row, 0],
-                amplifier_i2t[amplifier_row, 1],
+                i2t[0],
+                i2t[1],
                 limits,
                 faults,
             )
+            # As from the node, a message about some axes repeats what was last said of the others.
             for axis in range(3):
+                amplifier_i2t[amplifier_row, 0, axis] = i2t[0, axis]
+                amplifier_i2t[amplifier_row, 1, axis] = i2t[1, axis]
                 amplifier_bits[amplifier_row, 0, axis] = limits[axis]
                 amplifier_bits[amplifier_row, 1, axis] = faults[axis]
             amplifier_tick[amplifier_row] = tick

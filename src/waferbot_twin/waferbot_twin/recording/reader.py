@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -75,12 +76,22 @@ class Recording:
 
 def recording_file(path: Path) -> Path:
     """Return the `.mcap` file of a recording given as folder or file; raises `UserError`."""
+    if path.is_file() and path.suffix != '.mcap':
+        raise UserError(f'{path} is no .mcap file; give a recording folder')
+    files = recording_files(path)
+    if len(files) > 1:
+        raise UserError(
+            f'{path} is split into {len(files)} files; merge it with `ros2 bag convert`'
+        )
+    return files[0]
+
+
+def recording_files(path: Path) -> list[Path]:
+    """Return the files of a recording given as folder or file, in their order."""
     if not path.exists():
         raise UserError(f'{path} does not exist')
     if path.is_file():
-        if path.suffix != '.mcap':
-            raise UserError(f'{path} is no .mcap file; give a recording folder')
-        return path
+        return [path]
     metadata = path / 'metadata.yaml'
     names: list[str] = []
     if metadata.exists():
@@ -92,13 +103,10 @@ def recording_file(path: Path) -> Path:
     files = [path / name for name in names] or sorted(path.glob('*.mcap'))
     if not files:
         raise UserError(f'{path} holds no recording (no metadata.yaml, no .mcap file)')
-    if len(files) > 1:
-        raise UserError(
-            f'{path} is split into {len(files)} files; merge it with `ros2 bag convert`'
-        )
-    if not files[0].exists():
-        raise UserError(f'{files[0]} is named in {metadata} but does not exist')
-    return files[0]
+    for file in files:
+        if not file.exists():
+            raise UserError(f'{file} is named in {metadata} but does not exist')
+    return files
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -109,7 +117,11 @@ def read_recording(path: Path | str) -> Recording:
     definition than the installed messages (type hash).
     """
     file = recording_file(Path(path))
-    content = _read_file(file)
+    return recording_of(Path(path), file, read_content([file]))
+
+
+def recording_of(path: Path, file: Path, content: Content) -> Recording:
+    """Return the recording in what was read of `file`; `path` is what the user gave."""
     messages, types = content.messages, content.types
     topics = {}
     for name, data in messages.items():
@@ -125,7 +137,7 @@ def read_recording(path: Path | str) -> Recording:
         wire = WireFormat(getattr(waferbot_msgs.msg, topic.message))
         topics[topic.name] = merge_by_tick(wire.records(data), topic)
     return Recording(
-        Path(path),
+        path,
         topics,
         {name: len(data) for name, data in messages.items()},
         types,
@@ -166,44 +178,86 @@ def _contract_topic(name: str, type_name: str) -> Topic | None:
     return None
 
 
+# A length that is garbage overflows, or asks for more memory than there is.
+_DAMAGE = (
+    McapError,
+    EOFError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    struct.error,
+    zstandard.ZstdError,
+)
+
+
 @dataclass
-class _Content:
-    """What one pass through an MCAP file brought."""
+class Content:
+    """
+    What one pass through the file or files of a recording brought, by topic.
+
+    `log_times_ns` are when the messages were recorded. `definitions` are the texts of their types
+    with their encoding (`ros2msg`, `ros2idl`). `closed` is False if a file was cut off, `trouble`
+    then says how.
+    """
 
     messages: dict[str, list[bytes]] = field(default_factory=dict)
+    log_times_ns: dict[str, list[int]] = field(default_factory=dict)
     types: dict[str, str] = field(default_factory=dict)
+    definitions: dict[str, tuple[str, str]] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
     attachments: dict[str, str] = field(default_factory=dict)
     summary: dict[str, str] = field(default_factory=dict)
     closed: bool = False
+    trouble: str = ''
 
 
-def _read_file(file: Path) -> _Content:
-    """Read record by record, from the start, as far as the file goes."""
-    content = _Content()
-    schemas: dict[int, str] = {}
-    channels: dict[int, list[bytes]] = {}
+def read_content(files: Iterable[Path]) -> Content:
+    """Read MCAP files record by record, from the start, as far as each goes; raises `UserError`."""
+    content = Content()
+    closed = [_read_file(file, content) for file in files]
+    content.closed = all(closed)
+    return content
+
+
+def _read_file(file: Path, content: Content) -> bool:
+    """Add what is in a file to `content`; return whether it was closed."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[list[bytes], list[int]]] = {}
+    closed = False
     with file.open('rb') as stream:
         try:
             for record in StreamReader(stream, validate_crcs=True).records:
                 if isinstance(record, Message):
-                    channels[record.channel_id].append(record.data)
+                    data, times = channels[record.channel_id]
+                    data.append(record.data)
+                    times.append(record.log_time)
                 elif isinstance(record, Schema):
-                    schemas[record.id] = record.name
+                    schemas[record.id] = record
                 elif isinstance(record, Channel) and record.id not in channels:
-                    channels[record.id] = content.messages.setdefault(record.topic, [])
-                    content.types[record.topic] = schemas.get(record.schema_id, '')
+                    channels[record.id] = (
+                        content.messages.setdefault(record.topic, []),
+                        content.log_times_ns.setdefault(record.topic, []),
+                    )
+                    schema = schemas.get(record.schema_id)
+                    content.types[record.topic] = schema.name if schema else ''
+                    content.definitions[record.topic] = (
+                        (schema.data.decode('utf-8', 'replace'), schema.encoding)
+                        if schema
+                        else ('', '')
+                    )
                     content.hashes[record.topic] = record.metadata.get('topic_type_hash', '')
                 elif isinstance(record, Attachment):
                     content.attachments[record.name] = record.data.decode('utf-8', 'replace')
                 elif isinstance(record, Metadata) and record.name == 'waferbot':
                     content.summary = dict(record.metadata)
                 elif isinstance(record, Footer):
-                    content.closed = True
+                    closed = True
         except InvalidMagic as error:
             if not channels:
                 raise UserError(f'{file} is no MCAP file') from error
-        except (McapError, EOFError, ValueError, struct.error, zstandard.ZstdError) as error:
-            if not any(channels.values()):
+            content.trouble = content.trouble or f'{file.name}: {error!r}'
+        except _DAMAGE as error:
+            if not any(data for data, _ in channels.values()):
                 raise UserError(f'{file} holds no readable message ({error!r})') from error
-    return content
+            content.trouble = content.trouble or f'{file.name}: {error!r}'
+    return closed

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Friction beyond a table: hand formulas, fine ODE solutions, exact sticking, energy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import plant_machines as machines
+import pytest
+from scipy.integrate import solve_ivp
+from test_integrator import run
+
+from waferbot_lockstep.errors import UserError
+from waferbot_plant import audit, plant
+from waferbot_plant.plant import load_machine
+
+MASS = 2.0
+TICK = 1 / 18000
+NO_VOLTAGE = np.zeros(9)
+
+
+def slide(friction: dict, substeps: int = 1, **more):
+    """Return a mass of 2 kg on a horizontal slide with friction: machine, parameters, state."""
+    machine = load_machine(
+        machines.write_single_mass(
+            gravity_m_s2=[0, 0, 0],
+            substeps=substeps,
+            frictions={'guide': {'coordinate': 'travel', **friction}},
+            **more,
+        )
+    )
+    parameters = machine.parameters()
+    return machine, parameters, machine.initial_state(parameters)
+
+
+COULOMB = {'speed_m_s': [0], 'force_n': [4.0]}
+
+
+@pytest.mark.parametrize('direction', [1.0, -1.0])
+def test_direction_dependent_friction_stops_and_sticks_by_its_own_limits(direction: float) -> None:
+    """4 N (1 +- 0.25): v^2 m / 2F metres to stop; sticks to the last bit below breakaway."""
+    friction = {**COULOMB, 'asymmetry': 0.25, 'breakaway': 1.5}
+    machine, parameters, state = slide(friction)
+    limit = 4.0 * (1.0 + 0.25 * direction)
+    state[0]['velocity'][0] = direction * 0.5
+    before = audit.books(machine, state, parameters)
+    for _ in range(9000):
+        plant.advance(state, parameters, NO_VOLTAGE)
+    rest = state[0]['position'][0]
+    assert rest == pytest.approx(direction * 0.5**2 * MASS / (2 * limit), rel=1e-6)
+    assert state[0]['friction_loss'][0] == pytest.approx(0.25, rel=1e-9)
+    assert abs(audit.imbalance(before, audit.books(machine, state, parameters))) < 1e-9
+    for share in (0.5, 0.999999):
+        state[0]['external_force'][0] = direction * share * 1.5 * limit
+        for _ in range(20):
+            plant.advance(state, parameters, NO_VOLTAGE)
+        assert state[0]['velocity'][0] == 0.0
+        assert state[0]['position'][0] == rest
+    state[0]['external_force'][0] = direction * 1.000001 * 1.5 * limit
+    for _ in range(100):
+        plant.advance(state, parameters, NO_VOLTAGE)
+    gained = (1.000001 * 1.5 * limit - limit) / MASS * 100 * TICK
+    assert state[0]['velocity'][0] == pytest.approx(direction * gained, rel=1e-9)
+
+
+def test_position_dependent_friction_agrees_with_a_fine_solution() -> None:
+    friction = {
+        **COULOMB, 'position_amplitude': 0.6, 'position_order': 2, 'period_m': 0.1,
+        'position_phase_rad': 0.4,
+    }  # fmt: skip
+    machine, parameters, state = slide(friction)
+    state[0]['velocity'][0] = 0.9
+    before = audit.books(machine, state, parameters)
+    run(state, parameters, 3600, np.zeros(3), np.zeros((3600, 1)))
+    after = audit.books(machine, state, parameters)
+    k = 2 * math.pi * 2 / 0.1
+    expected = solve_ivp(
+        lambda _, y: [y[1], -4.0 * (1 + 0.6 * math.cos(k * y[0] - 0.4)) / MASS],
+        (0.0, 0.2), [0.0, 0.9], rtol=1e-11, atol=1e-13,
+    ).y[:, -1]  # fmt: skip
+    assert [state[0]['position'][0], state[0]['velocity'][0]] == pytest.approx(expected, rel=1e-7)
+    assert abs(audit.imbalance(before, after)) < 1e-9
+
+
+def test_position_dependence_never_makes_friction_drive() -> None:
+    """Amplitude 3: where the factor would be below zero there is none, and none is gained."""
+    friction = {**COULOMB, 'position_amplitude': 3.0, 'period_m': 0.05}
+    _, parameters, state = slide(friction)
+    state[0]['velocity'][0] = 1.5
+    speed, free = 1.5, 0
+    for _ in range(1200):
+        plant.advance(state, parameters, NO_VOLTAGE)
+        assert state[0]['velocity'][0] <= speed
+        free += state[0]['velocity'][0] == speed
+        speed = state[0]['velocity'][0]
+    assert free > 100
+
+
+def test_cold_friction_decays_with_its_time_constant() -> None:
+    """v' = -F (1 + C exp(-t / tau)) / m in closed form."""
+    _, parameters, state = slide({**COULOMB, 'cold_amplitude': 1.5, 'cold_time_s': 0.05})
+    state[0]['velocity'][0] = 2.0
+    ticks = 3600
+    run(state, parameters, ticks, np.zeros(3), np.zeros((ticks, 1)))
+    t = ticks * TICK
+    expected = 2.0 - 4.0 / MASS * (t + 1.5 * 0.05 * (1 - math.exp(-t / 0.05)))
+    assert state[0]['velocity'][0] == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize('share', [0.0, 0.3])
+def test_load_dependent_friction_takes_its_share_of_the_motors_force(share: float) -> None:
+    """A locked current pushes; a = F (1 - mu) / m while the winding holds it."""
+    motor = {
+        'coordinate': 'travel', 'winding': 'wye', 'resistance_lead_to_lead_ohm': 1e-3,
+        'inductance_lead_to_lead_h': 1e3, 'back_emf_lead_to_lead_v_s_m': 50.0,
+        'electrical_cycle_m': 1e6,
+    }  # fmt: skip
+    friction = {'speed_m_s': [0], 'force_n': [1.0], 'per_motor_force': share}
+    machine, parameters, state = slide(friction, motors={'y_linear': motor})
+    from waferbot_plant import motors
+
+    constant = motors.force_constant(machine.description.motors['y_linear'])
+    motors.set_line_currents(state, parameters, 0, (0.0, -math.sqrt(0.75)))
+    run(state, parameters, 100, np.zeros(3), np.zeros((100, 1)))
+    force = constant * 1.0
+    expected = (force * (1.0 - share) - 1.0) / MASS * 100 * TICK
+    assert state[0]['velocity'][0] == pytest.approx(expected, rel=1e-4)
+
+
+def lugre(y, pull, stiffness, damping, limit, mass=MASS):
+    """Return (x', v', z') of a mass with LuGre friction, as published."""
+    _, v, z = y
+    rate = v - stiffness * abs(v) / limit(abs(v)) * z
+    return [v, (pull - stiffness * z - damping * rate) / mass, rate]
+
+
+def stribeck(speed: float) -> float:
+    return float(np.interp(speed, [0.0, 0.02, 0.2], [6.0, 4.0, 5.0]))
+
+
+STRIBECK = {'speed_m_s': [0.0, 0.02, 0.2], 'force_n': [6.0, 4.0, 5.0]}
+
+
+@pytest.mark.slow
+def test_presliding_hysteresis_breakaway_and_sliding_agree_with_a_fine_solution() -> None:
+    """Force up and down within presliding, then through breakaway and back: scipy's Radau."""
+    stiffness, damping = 2e5, 300.0
+    machine, parameters, state = slide(
+        {**STRIBECK, 'presliding': {'stiffness_n_m': stiffness, 'damping_n_s_m': damping}}
+    )
+    before = audit.books(machine, state, parameters)
+
+    def pull(time: float) -> float:
+        grows = 3.0 if time < 0.2 else 12.0
+        return grows * math.sin(2 * math.pi * 10.0 * time)
+
+    def with_work(y, force: float):
+        return [*lugre(y[:3], force, stiffness, damping, stribeck), force * y[1]]
+
+    ticks = 7200
+    found = np.zeros((ticks, 2))
+    for tick in range(ticks):
+        state[0]['external_force'][0] = pull((tick + 0.5) * TICK)
+        plant.advance(state, parameters, NO_VOLTAGE)
+        found[tick] = state[0]['position'][0], state[0]['bristle'][0]
+    time = np.arange(1, ticks + 1) * TICK
+    first, start = [], [0.0, 0.0, 0.0, 0.0]
+    for begin, end in ((0.0, 0.2), (0.2, 0.4)):
+        inside = (time > begin + 1e-9) & (time <= end + 1e-9)
+        grows = 3.0 if begin == 0.0 else 12.0
+        motion = solve_ivp(
+            lambda t, y, grows=grows: with_work(y, grows * math.sin(2 * math.pi * 10.0 * t)),
+            (begin, end), start, method='Radau', rtol=1e-9, atol=1e-13,
+            t_eval=time[inside].clip(begin, end), max_step=2e-4,
+        )  # fmt: skip
+        first.append(motion.y[[0, 2]].T)
+        start = motion.y[:, -1]
+    expected = np.concatenate(first)
+    small, all_of_it = np.abs(expected[:3600, 0]).max(), np.abs(expected[:, 0]).max()
+    assert small < 3.0 / stiffness * 2.5
+    assert all_of_it > 100 * small
+    errors = np.abs(found - expected)
+    print('errors', errors[:3600, 0].max() / small, errors[:, 0].max() / all_of_it)
+    assert errors[:3600, 0].max() < 1e-3 * small
+    assert errors[:, 0].max() < 1e-3 * all_of_it
+    after = audit.books(machine, state, parameters)
+    assert abs(audit.imbalance(before, after)) < 1e-9 * after.supplied['outside']
+    lost = start[3] - 0.5 * MASS * start[1] ** 2 - 0.5 * stiffness * start[2] ** 2
+    assert after.lost['guide dry friction'] == pytest.approx(lost, rel=1e-4)
+
+
+def test_presliding_is_of_second_order() -> None:
+    """Half the step, a quarter of the error, within presliding, at smooth motion."""
+    stiffness, damping = 2e5, 300.0
+    ends = []
+    for substeps in (2, 4, 8, 64):
+        _, parameters, state = slide(
+            {**COULOMB, 'presliding': {'stiffness_n_m': stiffness, 'damping_n_s_m': damping}},
+            substeps=substeps,
+        )
+        state[0]['velocity'][0] = 0.05
+        run(state, parameters, 60, np.zeros(3), np.zeros((60, 1)))
+        ends.append(state[0]['position'][0])
+    errors = np.abs(np.array(ends[:-1]) - ends[-1])
+    print('errors', errors)
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
+    assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.25)
+
+
+@pytest.mark.parametrize('stiffness', [1e5, 1e8, 1e11])
+def test_presliding_slides_steadily_by_its_table_at_any_stiffness(stiffness: float) -> None:
+    """Drawn at 0.1 m/s by a huge mass's worth of force; F = R(v), no ringing, z = R / sigma_0."""
+    _, parameters, state = slide(
+        {**STRIBECK, 'presliding': {'stiffness_n_m': stiffness, 'damping_n_s_m': 10.0}}
+    )
+    state[0]['velocity'][0] = 0.1
+    state[0]['external_force'][0] = stribeck(0.1)
+    state[0]['bristle'][0] = stribeck(0.1) / stiffness
+    run(state, parameters, 1800, np.zeros(3), np.zeros((1800, 1)))
+    assert state[0]['velocity'][0] == pytest.approx(0.1, rel=1e-9)
+    assert state[0]['bristle'][0] == pytest.approx(stribeck(0.1) / stiffness, rel=1e-9)
+    state[0]['external_force'][0] = 0.0
+    state[0]['bristle'][0] = 0.0
+    for _ in range(9000):
+        plant.advance(state, parameters, NO_VOLTAGE)
+        assert abs(state[0]['velocity'][0]) < 0.11
+    assert abs(state[0]['velocity'][0]) < 1e-3
+
+
+def test_presliding_loop_closes_as_the_model_does() -> None:
+    """Slow reversal from full slip: F goes from R to -R as 1 - 2 exp(-sigma x / R), (Dahl)."""
+    stiffness = 1e5
+    _, parameters, state = slide(
+        {**COULOMB, 'presliding': {'stiffness_n_m': stiffness, 'damping_n_s_m': 0.0}}
+    )
+    parameters[0]['mass'] *= 1e6
+    s = state[0]
+    s['bristle'][0] = 4.0 / stiffness
+    s['velocity'][0] = s['velocity_change'][0] = 0.0
+    s['velocity'][0] = -1e-3
+    start = s['position'][0]
+    for _ in range(2000):
+        plant.advance(state, parameters, NO_VOLTAGE)
+        back = start - s['position'][0]
+        expected = 4.0 * (2.0 * math.exp(-stiffness * back / 4.0) - 1.0)
+        assert stiffness * s['bristle'][0] == pytest.approx(expected, abs=1e-4)
+    assert back > 8.0 / stiffness
+
+
+def test_laws_on_a_tied_coordinate_act_on_its_leader() -> None:
+    """Asymmetric friction on the counterweight, held and rigid cable: the same motion."""
+    overlay = {
+        'frictions': {
+            'counterweight_guide': {
+                'coordinate': 'counterweight', 'part': 'counterweight_bearing', 'asymmetry': 0.5,
+                'factor': 5.0,
+            },
+            'gearbox': {'coordinate': 'y_rotate_motor', 'part': 'gearbox', 'asymmetry': -0.3},
+            'payload_guide': {
+                'coordinate': 'y_linear', 'part': 'payload_bearing',
+                'presliding': {'stiffness_n_m': 1e6, 'damping_n_s_m': 200.0},
+            },
+        }
+    }  # fmt: skip
+    found = []
+    for state_of_all in ('held', 'rigid'):
+        machine = load_machine('flexible', state_of_all, overlays=[overlay])
+        parameters = machine.parameters()
+        state = machine.initial_state(parameters, {}, holding=True)
+        record = np.zeros((4000, len(machine.coordinates)))
+        before = audit.books(machine, state, parameters)
+        run(state, parameters, 4000, np.array([60.0, 60.0, 20.0]), record)
+        after = audit.books(machine, state, parameters)
+        supplied = sum(after.supplied.values())
+        assert abs(audit.imbalance(before, after)) < 1e-6 * abs(supplied)
+        places = [machine.assembly.placing[name] for name in ('y_linear', 'x_rotate', 'y_rotate')]
+        found.append(np.array([ratio * record[:, place] for place, ratio in places]))
+        losses = audit.loss_powers(before, after, 4000 * TICK)
+        assert losses['counterweight_guide dry friction'] > 0.0
+    scale = np.abs(found[1]).max(axis=1, keepdims=True)
+    assert (np.abs(found[0] - found[1]) / scale).max() < 1e-8
+
+
+def test_taking_the_law_away_while_it_runs_leaves_the_table() -> None:
+    _, parameters, state = slide({**COULOMB, 'asymmetry': 0.5})
+    state[0]['velocity'][0] = 0.5
+    run(state, parameters, 10, np.zeros(3), np.zeros((10, 1)))
+    parameters[0]['friction_asymmetry'] = 0.0
+    before = state[0]['velocity'][0]
+    run(state, parameters, 10, np.zeros(3), np.zeros((10, 1)))
+    assert state[0]['velocity'][0] == pytest.approx(before - 4.0 / MASS * 10 * TICK, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('law', 'message'),
+    [
+        ({'asymmetry': 1.5}, 'asymmetry: is 1.5; it must be at most 1'),
+        ({'position_amplitude': 0.5}, 'period_m missing'),
+        ({'position_amplitude': 0.5, 'period_rad': 1.0}, 'wrong unit.*give period_m'),
+        ({'period_m': 0.5}, 'period_m: goes with position_amplitude'),
+        ({'cold_amplitude': 1.0}, 'give both cold_amplitude and cold_time_s'),
+        ({'presliding': {}}, 'presliding: stiffness_n_m missing'),
+        ({'presliding': {'stiffness_n_m': 1.0}, 'breakaway': 1.5}, 'breakaway: friction with pre'),
+    ],
+)
+def test_mistakes_are_named(law: dict, message: str) -> None:
+    with pytest.raises(UserError, match=rf'machine.yaml, line \d+: frictions.guide.*{message}'):
+        slide({**COULOMB, **law})

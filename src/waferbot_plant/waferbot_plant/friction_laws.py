@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What makes real dry friction differ from a table of resistance over speed.
+
+The table T(|u|) of a friction, with u the speed of its coordinate x, is made
+
+    R = (T + mu |F_m|) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau)) (1 + a sign(u))
+
+load-dependent by the force or torque F_m of the motors on the same coordinate, position-dependent
+(a bent rail, an eccentric seal), cold at the start of the run (a ferrofluid that warms), and
+dependent on direction. At rest T is the table's first value times `breakaway`. It stays
+set-valued: whatever is within the limits of both directions sticks exactly.
+
+**Presliding** (stiffness sigma_0 > 0) turns a friction into the model of LuGre instead,
+
+    z' = u - sigma_0 |u| / R(u) z,    F = sigma_0 z + sigma_1 z',
+
+with the deflection z of the bristles: a spring before it slides, hysteresis in between, and R in
+steady sliding, so R is also what Stribeck and viscous parts belong in. Its limit at rest is R(0)
+(`breakaway` has no meaning for it). The step is linear in the mean speed u: with the rate
+l = sigma_0 |u_p| / R at the speed u_p expected from the last step, z' = u - l z is solved exactly,
+
+    mean of z = z_0 p + u (1 - p) / l,    p = (1 - exp(-l h)) / (l h),
+
+so that no stiffness and no speed makes it unstable. Second order in h while u_p is.
+
+Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of
+systems with friction, IEEE Trans. Automatic Control 40 (1995). Limits: F_m is that expected in the
+middle of the step; LuGre drifts under a vibrating force below breakaway, which real contacts do
+less; with sigma_1 large it is not passive at a reversal.
+"""
+
+from __future__ import annotations
+
+import math
+
+from waferbot_lockstep.compiled import compiled
+from waferbot_plant.elements import give_friction_to_leaders, resistance_at
+from waferbot_plant.motors import MOTORS, NONE, force_and_damping
+
+
+def parameter_fields(frictions: int) -> list[tuple]:
+    """
+    Return the dtype fields; zero is without effect, in each of them.
+
+    In the order of the equation: mu (-), A (-), k (rad per m or rad of x), phase (rad), C (-),
+    1 / tau (1/s), a (-); sigma_0 in N/m or Nm/rad, sigma_1 in N s/m or Nm s/rad.
+    """
+    names = (
+        'per_motor_force', 'position_amplitude', 'position_wave', 'position_phase',
+        'cold_amplitude', 'cold_rate', 'asymmetry', 'bristle_stiffness', 'bristle_damping',
+    )  # fmt: skip
+    return [(f'friction_{name}', 'f8', (frictions,)) for name in names]
+
+
+def state_fields(frictions: int, coordinates: int) -> list[tuple]:
+    """
+    Return the dtype fields: bristles' deflection (m, rad) and the workings of a step.
+
+    A tilt is what the limit of friction is higher forward and lower backward, N or Nm.
+    """
+    return [
+        ('any_friction_law', 'i8'),
+        ('sliding_tilt', 'f8', (coordinates,)),
+        ('holding_tilt', 'f8', (coordinates,)),
+        ('bristle', 'f8', (frictions,)),
+        ('bristle_rate', 'f8', (frictions,)),
+        ('bristle_force', 'f8', (frictions,)),
+        ('bristle_slope', 'f8', (frictions,)),
+    ]
+
+
+@compiled
+def find_friction_laws(s, p):
+    """Find whether any friction is more than its table; forget tilts when none is any more."""
+    found = False
+    for friction in range(len(p['friction_coordinate'])):
+        found |= (
+            (p['friction_per_motor_force'][friction] != 0.0)
+            | (p['friction_position_amplitude'][friction] != 0.0)
+            | (p['friction_cold_amplitude'][friction] != 0.0)
+            | (p['friction_asymmetry'][friction] != 0.0)
+            | (p['friction_bristle_stiffness'][friction] != 0.0)
+        )
+    if s['any_friction_law'] and not found:
+        for row in range(len(s['sliding_tilt'])):
+            s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
+    s['any_friction_law'] = found
+
+
+@compiled
+def _factor(s, p, friction, place, time):
+    """Return by what position and cold multiply a friction; `place` is x in m or rad."""
+    factor = 1.0
+    if p['friction_position_amplitude'][friction] != 0.0:
+        angle = p['friction_position_wave'][friction] * place
+        wave = math.cos(angle - p['friction_position_phase'][friction])
+        factor = max(0.0, 1.0 + p['friction_position_amplitude'][friction] * wave)
+    if p['friction_cold_amplitude'][friction] != 0.0:
+        cold = math.exp(-time * p['friction_cold_rate'][friction])
+        factor *= 1.0 + p['friction_cold_amplitude'][friction] * cold
+    return factor
+
+
+@compiled
+def _load_part(s, p, friction, mean):
+    """Return mu |F_m|: what the motors' force adds to the table, N or Nm on x."""
+    share = p['friction_per_motor_force'][friction]
+    if share == 0.0:
+        return 0.0
+    coordinate = p['friction_coordinate'][friction]
+    total = 0.0
+    for motor in range(MOTORS):
+        if p['winding'][motor] != NONE and p['motor_coordinate'][motor] == coordinate:
+            ratio = p['motor_ratio'][motor]
+            force, damping = force_and_damping(s, p, motor)
+            total += ratio * (force - damping * ratio * mean[coordinate])
+    return share * abs(total / p['friction_ratio'][friction])
+
+
+@compiled
+def limit_lawful_friction(s, p, middle, mean, step):
+    """
+    Do what `limit_friction` does, with the laws: strengths of sliding and holding, and tilts.
+
+    `middle` and `mean` (n,) are positions and speeds expected in the middle of the step.
+    """
+    time = (s['steps'] + 0.5) * step
+    for row in range(len(s['sliding'])):
+        s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
+        s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
+    for friction in range(len(p['friction_coordinate'])):
+        s['friction_now'][friction] = 0.0
+        if p['friction_bristle_stiffness'][friction] != 0.0:
+            continue
+        row = p['friction_coordinate'][friction]
+        ratio = abs(p['friction_ratio'][friction])
+        if ratio == 0.0:
+            continue
+        factor = ratio * _factor(s, p, friction, p['friction_ratio'][friction] * middle[row], time)
+        load = _load_part(s, p, friction, mean)
+        moving = factor * (resistance_at(p, friction, ratio * abs(mean[row])) + load)
+        at_rest = p['friction_resistance'][friction, 0] + load
+        holding = factor * at_rest * p['friction_breakaway'][friction]
+        tilt = p['friction_asymmetry'][friction]
+        if p['friction_ratio'][friction] < 0.0:
+            tilt = -tilt
+        s['friction_now'][friction] = moving
+        s['sliding_friction'][row] += moving
+        s['holding_friction'][row] += holding
+        s['sliding_tilt'][row] += tilt * moving
+        s['holding_tilt'][row] += tilt * holding
+    if s['any_held']:
+        give_friction_to_leaders(s)
+
+
+@compiled
+def add_presliding(s, p, matrix, right, middle, mean, velocity, step):
+    """Put the frictions with bristles into A and r, as -(c_0 + c_1 u) with the mean speed u."""
+    time = (s['steps'] + 0.5) * step
+    for friction in range(len(p['friction_coordinate'])):
+        stiffness = p['friction_bristle_stiffness'][friction]
+        if stiffness == 0.0:
+            continue
+        row = p['friction_coordinate'][friction]
+        ratio = p['friction_ratio'][friction]
+        speed = ratio * mean[row]
+        limit = resistance_at(p, friction, abs(speed)) + _load_part(s, p, friction, mean)
+        limit *= _factor(s, p, friction, ratio * middle[row], time)
+        tilt = p['friction_asymmetry'][friction]
+        limit *= 1.0 + tilt if speed >= 0.0 else 1.0 - tilt
+        s['bristle_force'][friction] = s['bristle_slope'][friction] = 0.0
+        s['bristle_rate'][friction] = -1.0
+        if limit <= 0.0:
+            continue
+        damping = p['friction_bristle_damping'][friction]
+        rate = stiffness * abs(speed) / limit
+        kept, gained = _bristle_means(rate, step)
+        s['bristle_rate'][friction] = rate
+        s['bristle_force'][friction] = (stiffness - damping * rate) * kept * s['bristle'][friction]
+        slope = (stiffness - damping * rate) * gained + damping
+        s['bristle_slope'][friction] = slope
+        right[row] -= step * ratio * (s['bristle_force'][friction] + slope * ratio * velocity[row])
+        matrix[row, row] += 0.5 * step * slope * ratio * ratio
+
+
+@compiled
+def _bristle_means(rate, step):
+    """Return p and (1 - p) / rate with p = (1 - exp(-x)) / x, x = rate h; a series where x is small."""
+    x = rate * step
+    if x < 1e-2:
+        lost = 0.5 - x / 6.0 * (1.0 - x / 4.0 * (1.0 - x / 5.0 * (1.0 - x / 6.0)))
+        return 1.0 - x * lost, step * lost
+    kept = -math.expm1(-x) / x
+    return kept, (1.0 - kept) / rate
+
+
+@compiled
+def book_presliding(s, p, mean, step):
+    """Move the bristles on, and book their loss: work put in less what is stored in them, J."""
+    for friction in range(len(p['friction_coordinate'])):
+        stiffness = p['friction_bristle_stiffness'][friction]
+        if stiffness == 0.0:
+            continue
+        speed = p['friction_ratio'][friction] * mean[p['friction_coordinate'][friction]]
+        force = s['bristle_force'][friction] + s['bristle_slope'][friction] * speed
+        before = s['bristle'][friction]
+        after = 0.0
+        if s['bristle_rate'][friction] >= 0.0:
+            kept, gained = _bristle_means(s['bristle_rate'][friction], step)
+            held = kept * before + gained * speed
+            after = before + step * (speed - s['bristle_rate'][friction] * held)
+        s['bristle'][friction] = after
+        stored = 0.5 * stiffness * (after * after - before * before)
+        s['friction_loss'][friction] += force * speed * step - stored
+
+
+@compiled
+def book_lawful_frictions(s, p, mean, step):
+    """Do what `book_frictions` does, with shares that follow the direction."""
+    for friction in range(len(p['friction_coordinate'])):
+        row = p['friction_coordinate'][friction]
+        share = s['friction_now'][friction]
+        tilt = p['friction_asymmetry'][friction]
+        if p['friction_ratio'][friction] < 0.0:
+            tilt = -tilt
+        if s['any_held']:
+            ratio = s['leader_ratio'][row]
+            row = s['leader'][row]
+            share *= abs(ratio)
+            tilt = tilt if ratio > 0.0 else -tilt
+        direction = 1.0 if mean[row] > 0.0 else -1.0
+        total = s['sliding_friction'][row] + direction * s['sliding_tilt'][row]
+        if total > 0.0:
+            loss = -s['friction_force'][row] * mean[row] * step
+            s['friction_loss'][friction] += loss * share * (1.0 + direction * tilt) / total
+
+
+@compiled
+def stored_in_bristles(s, p):
+    """Return the energy sigma_0 z^2 / 2 in all bristles, J."""
+    energy = 0.0
+    for friction in range(len(p['friction_coordinate'])):
+        z = s['bristle'][friction]
+        energy += 0.5 * p['friction_bristle_stiffness'][friction] * z * z
+    return energy

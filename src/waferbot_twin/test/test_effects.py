@@ -1,0 +1,378 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every effect of the library, on every axis of the machine.
+
+Truth is the machine without the effect: neutral values must leave it as it is to the last bit,
+typical ones must be felt, well above the noise of a real log. An effect that nothing reads, that is
+there when it should not be, or that needs another machine to be compiled, fails here.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.assembly import home_mass_matrix_and_weight
+from waferbot_plant.description import whole_text
+from waferbot_plant.plant import find_description
+from waferbot_pmac.experiments import load_experiment
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.effects import effects_page, find, library, places
+from waferbot_twin.effects.effect import Values
+from waferbot_twin.effects.host import host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.models import load_model
+
+TIMING = Timing()
+TICKS = TIMING.ticks(0.65)
+MOTION = """
+name: all_axes_at_once
+description: Every axis fast enough for every effect to be felt.
+duration_s: 1.2
+program:
+  - {rapid: {y_linear_m: 0.06, x_rotate_rad: -0.4, y_rotate_rad: 0.6}}
+  - {dwell_s: 0.4}
+"""
+
+NOISE = {'counts': 1.0 / 3.0, 'current': 0.003, 'command': 0.003, 'voltage': 0.3}
+"""What the signals of a good machine are uncertain by: counts, A, A, V."""
+
+PLAIN = 3.0
+"""Largest change over that noise from which an effect counts as plainly seen."""
+
+FAINT = frozenset({('bus_sag', 'y_rotate')})
+"""Effects that are felt, but not plainly: this motor takes little power."""
+
+RECOMPILED = frozenset({'cable_second_mode'})
+"""Effects that change the structure of the machine in memory."""
+
+DEPENDENT = (
+    {'notch', 'wrong_proportional_gain'},  # both in Ixx30, which is rounded
+    {'cable_slack', 'cable_second_mode'},  # both let go a cable that is held, not equally stiff
+    {'wafer', 'wrong_inertia'},  # what is scaled includes the wafer, or not
+    {'wafer', 'centre_of_gravity'},  # what is shifted includes the wafer, or not
+)
+
+
+@functools.cache
+def nominal(name: str = 'rigid') -> Variant:
+    """Return a machine with room for every effect."""
+    return host(Variant.of(load_model(name)))
+
+
+def every(name: str = 'rigid') -> list[tuple[str, str]]:
+    """Return every effect with every axis that it is on."""
+    variant = nominal(name)
+    return [(one.name, axis) for one in library().values() for axis in one.axes(variant)]
+
+
+def neutral(name: str, variant: Variant, axis: str) -> Values:
+    """Return the values at which an effect is not there."""
+    return {
+        item.name: item.typical if item.shape else item.neutral
+        for item in find(name).parameters(variant, axis)
+    }
+
+
+def twin(variant: Variant) -> Twin:
+    return Twin(variant.model(), TIMING, load_experiment(MOTION))
+
+
+@functools.cache
+def nominal_signals(name: str = 'rigid') -> Signals:
+    return twin(nominal(name)).advance(TICKS)
+
+
+def settings(variant: Variant) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return all that plant, controller and amplifiers know: the same arrays are the same run."""
+    return (
+        variant.build(TIMING).parameters(),
+        servo_parameters(variant.pmac),
+        amplifier_parameters(variant.copley, TIMING),
+    )
+
+
+def same_bits(one: np.ndarray, other: np.ndarray) -> bool:
+    return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+
+
+def same_signals(one: Signals, other: Signals) -> bool:
+    """Tell whether two runs gave the same signals, to the last bit."""
+    return all(
+        np.array_equal(value, getattr(other, name))
+        for name, value in vars(one).items()
+        if isinstance(value, np.ndarray)
+    )
+
+
+def change(one: Signals, other: Signals, axis: str) -> float:
+    """Return the largest RMS change of a signal of an axis, over the noise that it usually has."""
+    place = AXES.index(axis)
+    own = [row for row, encoder in enumerate(ENCODERS) if encoder.startswith(axis)]
+    differences = {
+        'counts': one.counts[:, own] - other.counts[:, own],
+        'current': (one.line_current - other.line_current)[:, 2 * place : 2 * place + 2],
+        'command': (one.current_command - other.current_command)[:, place],
+        'voltage': (one.voltage - other.voltage)[:, 3 * place : 3 * place + 3],
+    }
+    return max(
+        float(np.sqrt(np.mean(np.square(values))).max()) / NOISE[name]
+        for name, values in differences.items()
+    )
+
+
+def test_library() -> None:
+    """At least 45 effects; what they say of themselves is complete."""
+    assert len(library()) >= 45
+    for effect in library().values():
+        assert effect.summary
+        assert effect.equation
+
+
+def one_axis_each() -> list[tuple[str, str]]:
+    """Return every effect with one axis, now this, now that."""
+    axes = [(name, [axis for one, axis in every() if one == name]) for name in library()]
+    return [(name, own[place % len(own)]) for place, (name, own) in enumerate(axes) if own]
+
+
+def only_simplified() -> list[tuple[str, str]]:
+    """Return the effects that make sense only where something gives or rubs already."""
+    rigid = {name for name, _ in every()}
+    return [(name, axis) for name, axis in every('simplified') if name not in rigid]
+
+
+def check_neutral(model: str, name: str, axis: str) -> None:
+    variant = find(name).apply(nominal(model), axis, neutral(name, nominal(model), axis))
+    found, reference = settings(variant), settings(nominal(model))
+    if not all(same_bits(one, other) for one, other in zip(found, reference, strict=True)):
+        assert found[0].dtype == reference[0].dtype
+        assert same_signals(twin(variant).advance(TICKS), nominal_signals(model))
+
+
+def check_typical(model: str, name: str, axis: str) -> None:
+    found = twin(find(name).apply(nominal(model), axis, {}))
+    same = found.plant_parameters.dtype == settings(nominal(model))[0].dtype
+    assert same == (name not in RECOMPILED)
+    least = 0.0 if (name, axis) in FAINT else PLAIN
+    assert change(found.advance(TICKS), nominal_signals(model), axis) > least
+
+
+@pytest.mark.parametrize(('name', 'axis'), one_axis_each())
+def test_neutral_is_no_effect(name: str, axis: str) -> None:
+    check_neutral('rigid', name, axis)
+
+
+@pytest.mark.parametrize(
+    ('name', 'axis'), [pair for pair in one_axis_each() if pair[0] not in RECOMPILED]
+)
+def test_typical_is_felt(name: str, axis: str) -> None:
+    check_typical('rigid', name, axis)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'axis'), every())
+def test_neutral_is_no_effect_on_every_axis(name: str, axis: str) -> None:
+    check_neutral('rigid', name, axis)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'axis'), every())
+def test_typical_is_felt_on_every_axis(name: str, axis: str) -> None:
+    check_typical('rigid', name, axis)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'axis'), only_simplified())
+def test_effects_of_flexible_models(name: str, axis: str) -> None:
+    check_neutral('simplified', name, axis)
+    check_typical('simplified', name, axis)
+
+
+@pytest.mark.parametrize('model', ['rigid', 'simplified'])
+def test_parameters_are_in_order(model: str) -> None:
+    variant = nominal(model)
+    for name, axis in every(model):
+        for item in find(name).parameters(variant, axis):
+            assert item.low <= item.neutral <= item.high, (name, axis, item)
+            assert item.low <= item.typical <= item.high, (name, axis, item)
+            assert item.low < item.high, (name, axis, item)
+            assert item.shape or item.typical != item.neutral or 'cosine_3' in item.name
+        for trial in find(name).trials(variant, axis):
+            find(name).complete(variant, axis, trial)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('name', 'axis'), every())
+def test_bounds_are_a_model(name: str, axis: str) -> None:
+    """What is within the bounds is a machine that can be built, wherever it is."""
+    parameters = find(name).parameters(nominal(), axis)
+    for item in parameters:
+        for value in (item.low, item.high):
+            variant = find(name).apply(nominal(), axis, {item.name: value})
+            twin(variant).advance(1)
+
+
+@pytest.mark.parametrize('model', ['rigid', 'simplified'])
+def test_effects_on_a_machine_without_room(model: str) -> None:
+    """Without `host` too, neutral and typical values give descriptions that load, and differ."""
+    check_whole_library(Variant.of(load_model(model)))
+
+
+@pytest.mark.parametrize('name', ['direct_drive_motor', 'geared_pendulum', 'two_mass_drive'])
+def test_effects_on_other_machines(name: str) -> None:
+    """Descriptions of one axis, without a controller and an amplifier that are known."""
+    text = whole_text(find_description(name))
+    variant = Variant(name, yaml.safe_load(text), 'improved', {}, {})
+    assert check_whole_library(variant) >= 20
+    assert check_whole_library(host(variant)) >= 20
+
+
+def check_whole_library(variant: Variant) -> int:
+    """Apply every effect on every axis; return how many there are."""
+    count = 0
+    for effect in library().values():
+        for axis in effect.axes(variant):
+            without = effect.apply(variant, axis, neutral(effect.name, variant, axis))
+            with_it = effect.apply(variant, axis, {})
+            pairs = zip(settings(without), settings(with_it), strict=True)
+            assert not all(same_bits(one, other) for one, other in pairs), (effect.name, axis)
+            count += 1
+    return count
+
+
+def test_host_moves_like_the_machine_that_it_stands_for() -> None:
+    plain, roomy = twin(Variant.of(load_model('rigid'))), twin(nominal())
+    one, other = plain.advance(TICKS), roomy.advance(TICKS)
+    assert np.abs(one.counts - other.counts).max() <= 1
+    assert np.abs(one.current_command - other.current_command).max() < 0.05
+    assert len(roomy.machine.coordinates) > len(plain.machine.coordinates)
+
+
+def test_host_of_a_host_is_itself() -> None:
+    assert host(nominal()).machine_text == nominal().machine_text
+
+
+def test_host_leaves_a_slot_that_is_in_use() -> None:
+    used = find('coulomb_friction').apply(nominal(), 'x_rotate', {'friction': 1.5})
+    entry = host(used).machine['frictions']['x_rotate_coulomb_friction']
+    assert entry['torque_nm'] == [1.5]
+
+
+def same_data(one: Any, other: Any) -> bool:
+    """Tell whether two descriptions say the same, numbers to rounding; order of keys aside."""
+    if isinstance(one, Mapping):
+        return one.keys() == other.keys() and all(same_data(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same_data, one, other))
+    if isinstance(one, float) or isinstance(other, float):
+        return math.isclose(one, other, rel_tol=1e-9, abs_tol=1e-15)
+    return bool(one == other)
+
+
+def test_independent_effects_commute() -> None:
+    """Pairs drawn at random, on any axes: the order in which they are laid over does not matter."""
+    seed = int(np.random.default_rng().integers(2**31))
+    random = np.random.default_rng(seed)
+    pairs = list(itertools.combinations(every('simplified'), 2))
+    variant = nominal('simplified')
+    for place in random.choice(len(pairs), 60, replace=False):
+        (one, axis), (other, other_axis) = pairs[int(place)]
+        if one == other or {one, other} in DEPENDENT:
+            continue
+        forth = find(other).apply(find(one).apply(variant, axis, {}), other_axis, {})
+        back = find(one).apply(find(other).apply(variant, other_axis, {}), axis, {})
+        what = f'seed {seed}: {one}:{axis} and {other}:{other_axis}'
+        assert same_data(forth.machine, back.machine), what
+        assert same_data(forth.pmac, back.pmac), what
+        assert same_data(forth.copley, back.copley), what
+
+
+def test_sizes_do_not_change_with_other_effects() -> None:
+    weaker = find('force_constant').apply(nominal(), 'x_rotate', {'ratio': 0.5})
+    for effect in library().values():
+        for axis in effect.axes(nominal()):
+            values = {item.name: item.high for item in effect.parameters(nominal(), axis)}
+            assert effect.complete(weaker, axis, values) == values
+
+
+def test_what_an_effect_does_not_know_is_said() -> None:
+    with pytest.raises(UserError, match=r"no effect 'coulomb_frictio'.*coulomb_friction"):
+        find('coulomb_frictio')
+    effect = find('backlash')
+    with pytest.raises(UserError, match='backlash is not on axis'):
+        effect.complete(nominal(), 'x_rotate', {})
+    with pytest.raises(UserError, match=r"no parameter 'gab'.*gap"):
+        effect.complete(nominal(), 'y_rotate', {'gab': 0.001})
+    with pytest.raises(UserError, match='gap = 5 rad is out of range'):
+        effect.complete(nominal(), 'y_rotate', {'gap': 5.0})
+
+
+def test_compliance_is_what_was_asked_for() -> None:
+    """Through the data of its part, for every group: stiffness of the connection is 1 / compliance."""
+    variant = nominal()
+    for name, axis in every():
+        if not name.endswith('_compliance'):
+            continue
+        (item,) = find(name).parameters(variant, axis)
+        connection = item.meaning.removeprefix('1 / stiffness of ')
+        found = find(name).apply(variant, axis, {'compliance': 2.5 * item.typical})
+        part = found.description.connections[connection]
+        assert part.flexible
+        assert part.stiffness == pytest.approx(0.4 / item.typical, rel=1e-9)
+
+
+def test_wafer_is_two_bodies() -> None:
+    """By its own energy: inertia about the joint is that of the arm and that of the disc there."""
+    mass, radius = 0.5, 0.15
+    arm = nominal().description.bodies['y_rotate_load']
+    tip = 2.0 * (arm.centre_of_gravity[2] - 0.0)
+    changed = find('wafer').apply(nominal(), 'y_rotate', {'mass': mass})
+    more = places.moving_inertia(changed_base(changed), 'y_rotate') - places.moving_inertia(
+        nominal(), 'y_rotate'
+    )
+    assert more == pytest.approx(mass * (radius**2 / 2.0 + tip**2), rel=1e-9)
+
+
+def changed_base(variant: Variant) -> Variant:
+    """Return a variant as if it were the model."""
+    return replace(variant, origin=None)
+
+
+def test_centre_of_gravity_turns_the_axis() -> None:
+    """m g x offset of the bias that holds the axis, against the weight on its coordinate."""
+    offset = 0.01
+    changed = find('centre_of_gravity').apply(
+        nominal(), 'x_rotate', {'offset_y': 0.0, 'offset_z': offset}
+    )
+    weights = []
+    for variant in (nominal(), changed):
+        assembly = variant.rigid
+        _, weight = home_mass_matrix_and_weight(
+            list(assembly.links),
+            assembly.placing,
+            len(assembly.coordinates),
+            variant.description.gravity,
+        )
+        weights.append(weight[assembly.coordinates.index('x_rotate')])
+    mass = nominal().description.bodies['x_rotate_load'].mass
+    assert weights[1] - weights[0] == pytest.approx(mass * 9.81 * offset, rel=1e-9)
+
+
+def test_page_is_up_to_date() -> None:
+    """If this fails: python -m waferbot_twin.effects.effects_page docs/effects.md."""
+    page = (Path(__file__).parents[3] / 'docs' / 'effects.md').read_text('utf-8')
+    assert effects_page.renewed(page) == page

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The log that a model would have given for the same commanded positions, without any noise.
+
+It serves twice. As a prediction it shows what a correction gains. As an instrument it protects the
+decision: in a loop, noise moves the axis and the controller answers, so that currents and noise go
+together and a force constant seems wrong that is not. What the *command* causes knows nothing of the
+noise, and the signature of an effect in this log is free of it.
+
+Source: instrumental variables in closed loop, L. Ljung, System Identification, 2nd ed., section 13.4.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES
+from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+
+
+def simulate(variant: Variant, record: Record) -> Record:
+    """
+    Return what the closed loop of `variant` logs for the commanded positions of `record`.
+
+    It begins at rest where the log begins. Raises `UserError` if the loop is unstable.
+    """
+    assert record.commanded is not None
+    twin = Twin(variant.model(), record.timing, load_experiment('constant'))
+    per_unit = twin.servo_parameters[0]['counts_per_unit']
+    begin = record.commanded[0]
+    if np.any(np.abs(begin) > 1.0):
+        positions = {
+            axis: float(begin[place] / per_unit[place])
+            for place, axis in enumerate(AXES)
+            if axis in twin.machine.description.axes
+        }
+        twin.plant_state = twin.machine.initial_state(
+            twin.plant_parameters, positions, holding=True
+        )
+    twin.commanded = record.commanded - begin
+    return record_of_signals(record.name, twin.advance(record.ticks))

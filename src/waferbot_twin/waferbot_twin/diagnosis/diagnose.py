@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A diagnosis from beginning to end: logs in, causes, what they gain, what stays unexplained.
+
+Logs are divided into those for finding and those for judging; with a single log its last part
+judges. The causes come from `search`; a force table (`nonparametric`) shows whether something is left
+over that no effect of the library explains; the gain is measured on the judging logs alone (`gain`), and
+an extension that does not win there is withdrawn.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.from_recording import record_of_recording
+from waferbot_twin.diagnosis.gain import AxisGain, gains
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.diagnosis.nonparametric import tables
+from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
+from waferbot_twin.effects import library
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.host import host
+from waferbot_twin.effects.variant import Variant
+
+HELD_OUT = 0.4
+"""Share of a single log that judges what was found in the rest."""
+
+UNEXPLAINED_FLOORS = 5.0
+"""A controller whose residual is this many times its resolution has something unexplained."""
+
+
+@dataclass(frozen=True)
+class FoundCause:
+    """A cause with its evidence: standard errors, gain, and what it cannot be told from."""
+
+    cause: Cause
+    parameters: tuple[Parameter, ...]
+    standard_error: dict[str, float]
+    delta_bic: float
+    confidence: float
+    cannot_tell_from: tuple[str, ...]
+
+
+@dataclass
+class Diagnosis:
+    """The result of a diagnosis."""
+
+    nominal: Variant
+    extended: Variant
+    verdict: str
+    causes: list[FoundCause]
+    withdrawn: list[Cause]
+    unexplained: list[Cause]
+    unexplained_where: list[str]
+    gains: list[AxisGain]
+    where: dict[str, dict[str, float]]
+    finding: list[str]
+    judging: list[str]
+    search: Search
+    runtime_s: float = 0.0
+    notes: list[str] = field(default_factory=list)
+
+
+def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
+    """Return the records of logs; raises `UserError` for one that cannot be used."""
+    return [record_of_recording(path, nominal) for path in paths]
+
+
+def diagnose(
+    nominal: Variant,
+    finding: Sequence[Record],
+    judging: Sequence[Record],
+    progress: Progress,
+    workers: int = 1,
+    without: Sequence[str] = (),
+) -> Diagnosis:
+    """
+    Diagnose logs against a model.
+
+    `without` names effects that are left out of the library. Raises `UserError` if the logs are too
+    short.
+    """
+    begun_s = time.perf_counter()
+    notes = []
+    if not judging:
+        finding, judging = _divide(finding)
+        notes.append('one log only: its last part judged what was found in the rest')
+    if any(record.commanded is None for record in (*finding, *judging)):
+        notes.append('no commanded position: the controller could not be looked at')
+    roomy = host(nominal)
+    problem, judge = Problem(roomy, finding), Problem(roomy, judging)
+    effects = [effect for name, effect in library().items() if name not in without]
+    found = search(problem, judge, effects, progress, workers)
+    withdrawn: list[Cause] = []
+    axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
+    if found.found.causes and _worse(axis_gains):
+        withdrawn = list(found.found.causes)
+        found.found, found.judged = found.nothing, found.judged_nothing
+        axis_gains = gains(nominal, nominal, list(judging))
+    unexplained = _left_over(problem, judge, found, progress, workers)
+    extended = apply_all(nominal, (*found.found.causes, *unexplained))
+    if unexplained:
+        axis_gains = gains(nominal, extended, list(judging))
+    where = _where(problem, found)
+    places = [cause.axis for cause in unexplained] + _controller_left_over(problem, found)
+    causes = _found_causes(problem, found)
+    return Diagnosis(
+        nominal,
+        extended,
+        _verdict(causes, places),
+        causes,
+        withdrawn,
+        unexplained,
+        places,
+        axis_gains,
+        where,
+        [record.name for record in finding],
+        [record.name for record in judging],
+        found,
+        time.perf_counter() - begun_s,
+        notes,
+    )
+
+
+def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Divide every log into a part for finding and one for judging."""
+    finding, judging = [], []
+    for record in records:
+        if record.duration_s < 0.2:
+            raise UserError(
+                f'{record.name} is {record.duration_s:.3f} s long; a diagnosis needs 0.2 s at least'
+            )
+        border_s = (1.0 - HELD_OUT) * record.duration_s
+        finding.append(record.part(0.0, border_s))
+        judging.append(record.part(border_s, record.duration_s))
+    return finding, judging
+
+
+def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
+    if causes:
+        return 'partly' if left_over else 'explained'
+    return 'unexplained' if left_over else 'consistent'
+
+
+def _worse(axis_gains: Sequence[AxisGain]) -> bool:
+    """Return whether the extension loses more on some axes than it wins on others."""
+    ratios = [
+        math.log(item.rms_after / item.rms_before)
+        for item in axis_gains
+        if item.rms_before > 0.0 and item.rms_after > 0.0
+    ]
+    return bool(ratios) and sum(ratios) > 0.0
+
+
+def _left_over(
+    problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int
+) -> list[Cause]:
+    """Return force tables that explain what the causes leave, if they are confirmed."""
+    with_causes = Problem(apply_all(problem.nominal, found.found.causes), problem.records)
+    judge_with = Problem(with_causes.nominal, judge.records)
+    rest = search(
+        with_causes, judge_with, tables(problem.nominal, problem.records), progress, workers
+    )
+    return list(rest.found.causes)
+
+
+def _controller_left_over(problem: Problem, found: Search) -> list[str]:
+    """Return the axes whose controller does something else than its model."""
+    if not problem.blocks[CONTROLLER]:
+        return []
+    places = []
+    channels = found.found.residuals[CONTROLLER]
+    axes = problem.channel_names(CONTROLLER)
+    for axis, residual, floor in zip(axes, channels, problem.floors(CONTROLLER), strict=True):
+        if np.sqrt(np.mean(residual**2)) > UNEXPLAINED_FLOORS * floor and axis not in places:
+            places.append(axis)
+    return places
+
+
+def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
+    """Return the causes with their evidence, the strongest first."""
+    errors = standard_errors(found.found)
+    result, place = [], 0
+    for cause in found.found.causes:
+        parameters = parameters_of(problem, cause)
+        own = dict(
+            zip(
+                (item.name for item in parameters),
+                (float(value) for value in errors[place : place + len(parameters)]),
+                strict=False,
+            )
+        )
+        place += len(parameters)
+        rivals = found.rivals.get(cause.name, [])
+        result.append(
+            FoundCause(
+                cause,
+                parameters,
+                own,
+                float(found.gains.get(cause.name, 0.0)),
+                _confidence(rivals),
+                tuple(item.cause.name for item in rivals if item.behind < TELLS_APART),
+            )
+        )
+    return sorted(result, key=lambda item: -item.delta_bic)
+
+
+def _confidence(rivals: Sequence[Rival]) -> float:
+    """Return how sure it is that this and not a rival is the cause: weights by Schwarz' criterion."""
+    return 1.0 / (1.0 + sum(math.exp(-0.5 * min(item.behind, 700.0)) for item in rivals))
+
+
+def _where(problem: Problem, found: Search) -> dict[str, dict[str, float]]:
+    """Return the RMS residual of every block and channel with the nominal model."""
+    return {
+        block: _channel_rms(problem, found.nothing, block)
+        for block in (PLANT, CONTROLLER)
+        if problem.blocks[block]
+    }
+
+
+def _channel_rms(problem: Problem, hypothesis: Hypothesis, block: str) -> dict[str, float]:
+    squares: dict[str, list[float]] = {}
+    for axis, residual in zip(
+        problem.channel_names(block), hypothesis.residuals[block], strict=True
+    ):
+        squares.setdefault(axis, []).append(float(np.mean(residual**2)))
+    return {axis: math.sqrt(float(np.mean(values))) for axis, values in squares.items()}

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A set of causes, and how well the model with them explains the logs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.whitening import Fit
+from waferbot_twin.effects.effect import Parameter
+
+PROBE = 0.1
+"""Share of an effect's typical value with which its signature is found."""
+
+
+@dataclass
+class Hypothesis:
+    """A set of causes: residuals and likelihood by block, covariance of all their parameters."""
+
+    causes: tuple[Cause, ...]
+    residuals: dict[str, list[Array]]
+    fits: dict[str, Fit]
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def log_likelihood(self) -> float:
+        """The sum over all blocks."""
+        return sum(item.log_likelihood for item in self.fits.values())
+
+    @property
+    def samples(self) -> int:
+        """Samples of all channels."""
+        return sum(item.samples for item in self.fits.values())
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters."""
+        return sum(len(cause.values) for cause in self.causes)
+
+    @property
+    def information_criterion(self) -> float:
+        """Schwarz' criterion k ln N - 2 ln L: lower is better."""
+        return self.parameters * math.log(self.samples) - 2.0 * self.log_likelihood
+
+
+def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
+    """Return the model with these causes as they are; raises `UserError` if it blows up."""
+    variant = apply_all(problem.nominal, causes)
+    residuals = {
+        block: problem.residuals(variant, block)
+        for block, parts in problem.blocks.items()
+        if parts
+    }
+    return Hypothesis(causes, residuals, problem.judge(residuals))
+
+
+def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
+    """Return the parameters of a cause."""
+    return cause.effect.parameters(problem.nominal, cause.axis)
+
+
+def signature(
+    problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...], place: int
+) -> dict[str, Array]:
+    """
+    Return what the parameters of `causes[place]` change in the residuals, block by block.
+
+    Arrays have the shape (samples of all channels, parameters), per unit of the parameter. A shape
+    parameter of an effect that is not there changes nothing: a column of zeros, without simulating.
+    """
+    cause = causes[place]
+    parameters = parameters_of(problem, cause)
+    absent = all(item.shape or cause.values[item.name] == item.neutral for item in parameters)
+    found: dict[str, list[Array]] = {}
+    for item in parameters:
+        if absent and item.shape:
+            for block in problem.touched(cause.effect, cause.axis):
+                length = sum(len(channel) for channel in hypothesis.residuals[block])
+                found.setdefault(block, []).append(np.zeros(length))
+            continue
+        value = cause.values[item.name]
+        step = _probe(item, value)
+        moved = Cause(cause.effect, cause.axis, {**cause.values, item.name: value + step})
+        variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
+        for block in problem.touched(cause.effect, cause.axis):
+            changed = np.concatenate(problem.residuals(variant, block))
+            column = (changed - np.concatenate(hypothesis.residuals[block])) / step
+            found.setdefault(block, []).append(column)
+    return {block: np.column_stack(columns) for block, columns in found.items()}
+
+
+def _probe(item: Parameter, value: float) -> float:
+    """Return the step of a finite difference, away from the nearer bound."""
+    width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)
+    step = max(PROBE * abs(width), item.resolution)
+    return step if item.low <= value + step <= item.high else -step

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What nothing in the library explains: a force from a table, over speed or over position.
+
+Such a table is fitted as if it were an effect, with the force at each point as a parameter. It is never
+given a physical name: what it describes is reported as unexplained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.variant import Overlay, Variant
+
+POINTS = 7
+
+POSITION_ENCODERS = dict(zip(AXES, ENCODERS[: len(AXES)], strict=True))
+"""The encoder that tells the position of each axis."""
+
+STANDS_COUNTS = 50.0
+"""An axis that moves less than this in all logs is taken to stand."""
+
+
+def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
+    """Return a table over speed and one over position, with points where the logs' axes were."""
+    speeds: dict[str, tuple[float, ...]] = {}
+    positions: dict[str, tuple[float, ...]] = {}
+    for axis in places.motor_axes(variant):
+        encoder = variant.description.encoders.get(POSITION_ENCODERS[axis])
+        if encoder is None:
+            continue
+        column = ENCODERS.index(POSITION_ENCODERS[axis])
+        readings = [record.reading[:, column] for record in records]
+        known = np.concatenate([reading[np.isfinite(reading)] for reading in readings])
+        if len(known) == 0 or np.ptp(known) < STANDS_COUNTS:
+            continue
+        positions[axis] = _points(known / encoder.counts_per_unit)
+        rates = [
+            np.gradient(_smooth(record.reading[:, column]))
+            * record.timing.current_loop_hz
+            / record.timing.encoder_divider
+            for record in records
+        ]
+        fastest = max(float(np.nanmax(np.abs(rate))) for rate in rates) / encoder.counts_per_unit
+        speeds[axis] = tuple(float(x) for x in fastest * np.linspace(-1.0, 1.0, POINTS))
+    return [_table('velocity', speeds), _table('position', positions)]
+
+
+def _smooth(reading: np.ndarray) -> np.ndarray:
+    """Return readings averaged over 5 ms, so that counts do not look like speed."""
+    kernel = np.hanning(91)
+    filled = np.interp(
+        np.arange(len(reading)),
+        np.flatnonzero(np.isfinite(reading)),
+        reading[np.isfinite(reading)],
+    )
+    return np.convolve(filled, kernel / kernel.sum(), mode='same')[91:-91]
+
+
+def _points(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(float(x) for x in np.linspace(values.min(), values.max(), POINTS))
+
+
+def _table(over: str, points: Mapping[str, tuple[float, ...]]) -> Effect:
+    def axes(variant: Variant) -> tuple[str, ...]:
+        return tuple(axis for axis in places.motor_axes(variant) if axis in points)
+
+    def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+        rated = places.rated_force(variant, axis)
+        unit = 'Nm' if places.rotary(variant, axis) else 'N'
+        return tuple(
+            Parameter(
+                f'force_{number}', unit, 0.0, 0.05 * rated, -10.0 * rated, 10.0 * rated,
+                f'at {point:.4g}',
+            )
+            for number, point in enumerate(points[axis])
+        )  # fmt: skip
+
+    def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
+        unit = 'rad' if places.rotary(variant, axis) else 'm'
+        entry = {
+            'over': over,
+            f'at_{unit}_s' if over == 'velocity' else f'at_{unit}': list(points[axis]),
+            places.force_key(variant, axis): [values[name] for name in sorted(values)],
+        }
+        return Overlay(places.disturbance(variant, axis, 'table', entry))
+
+    return Effect(
+        f'force_over_{over}', Block.PLANT, f'a force over {over} without a known cause',
+        axes, parameters, overlay,
+    )  # fmt: skip

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Residuals of all blocks and logs for any variant of the model, and how likely they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from waferbot_twin.diagnosis.closed_loop_record import simulate
+from waferbot_twin.diagnosis.controller_block import ControllerBlock
+from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.whitening import Fit, fit
+from waferbot_twin.effects.effect import Effect, Values
+from waferbot_twin.effects.variant import Variant
+
+PLANT, CONTROLLER, DRIVE = 'plant', 'controller', 'drive'
+"""The blocks that can be replayed alone."""
+
+
+class BlockOfLog(Protocol):
+    """One block with the signals of one log."""
+
+    floors: list[float]
+    order: int
+    channels: list[str]
+
+    def residuals(self, variant: Variant) -> list[Array]:
+        """Return the residual of every channel."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """An effect on an axis, with values of its parameters."""
+
+    effect: Effect
+    axis: str
+    values: Values
+
+    @property
+    def name(self) -> str:
+        """Effect and axis as one word."""
+        return f'{self.effect.name}:{self.axis}'
+
+
+def apply_all(nominal: Variant, causes: Sequence[Cause]) -> Variant:
+    """Return the nominal model with all causes, one after another."""
+    variant = nominal
+    for cause in causes:
+        variant = cause.effect.apply(variant, cause.axis, cause.values)
+    return variant
+
+
+class Problem:
+    """What has to be explained: the logs, block by block, and the nominal model."""
+
+    def __init__(self, nominal: Variant, records: Sequence[Record]) -> None:
+        """Prepare every block that the logs have the signals for."""
+        self.nominal = nominal
+        self.records = tuple(records)
+        self.blocks: dict[str, list[BlockOfLog]] = {PLANT: [], CONTROLLER: [], DRIVE: []}
+        for record in records:
+            self.blocks[PLANT].append(PlantBlock(record, nominal))
+            if record.commanded is not None and record.command is not None:
+                self.blocks[CONTROLLER].append(ControllerBlock(record, nominal))
+
+    def touched(self, effect: Effect, axis: str) -> tuple[str, ...]:
+        """Return the blocks that an effect can change."""
+        overlay = effect.overlay(self.nominal, axis, effect.typical(self.nominal, axis))
+        found = []
+        if overlay.machine:
+            found.append(PLANT)
+        if overlay.pmac:
+            found.append(CONTROLLER)
+        if overlay.copley:
+            found.append(DRIVE)
+        return tuple(block for block in found if self.blocks[block])
+
+    def residuals(self, variant: Variant, block: str) -> list[Array]:
+        """Return the residuals of a block, all channels of all logs."""
+        return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
+
+    def ideal(self, causes: Sequence[Cause]) -> Problem | None:
+        """
+        Return the same problem with the noise-free logs of the model with these causes.
+
+        None if a log does not have what it was commanded.
+        """
+        if any(record.commanded is None for record in self.records):
+            return None
+        variant = apply_all(self.nominal, causes)
+        return Problem(self.nominal, [simulate(variant, record) for record in self.records])
+
+    def floors(self, block: str) -> list[float]:
+        """Return the smallest deviation of every channel of a block."""
+        return [floor for part in self.blocks[block] for floor in part.floors]
+
+    def orders(self, block: str) -> list[int]:
+        """Return the order of the autoregression that whitens every channel of a block."""
+        return [part.order for part in self.blocks[block] for _ in part.floors]
+
+    def channel_names(self, block: str) -> list[str]:
+        """Return the name of every channel of a block, log by log."""
+        return [name for part in self.blocks[block] for name in part.channels]
+
+    def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
+        """Return how likely residuals are as they stand, block by block."""
+        return {
+            block: fit(
+                channels,
+                [np.zeros((len(channel), 0)) for channel in channels],
+                self.floors(block),
+                self.orders(block),
+            )
+            for block, channels in residuals.items()
+            if channels
+        }

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A measured log laid on the ticks of the twin: what the blocks are replayed with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.timing import Timing
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Record:
+    """
+    One log.
+
+    line_current  (ticks, 6) A, lines 1 and 2 of each motor as measured, mean over each tick; NaN for a
+                  motor of which nothing is known
+    reading       (rows, 4) counts of each encoder as published at encoder ticks, NaN where missing
+    commanded     (cycles, 3) counts, commanded position at servo ticks, or None
+    command       (cycles, 3) A, current command at servo ticks, or None
+
+    `whole_counts` tells whether readings are the whole counts that the controller saw.
+    """
+
+    name: str
+    timing: Timing
+    line_current: Array
+    reading: Array
+    commanded: Array | None
+    command: Array | None
+    whole_counts: bool = True
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks of the current loop the log has."""
+        return len(self.line_current)
+
+    @property
+    def duration_s(self) -> float:
+        """How long the log is, s."""
+        return self.timing.seconds(self.ticks)
+
+    def part(self, first_s: float, last_s: float) -> Record:
+        """Return what lies between two times, on whole servo cycles."""
+        cycles = [round(time_s * self.timing.servo_hz) for time_s in (first_s, last_s)]
+        ticks = slice(*(cycle * self.timing.servo_divider for cycle in cycles))
+        rows = slice(
+            ticks.start // self.timing.encoder_divider, ticks.stop // self.timing.encoder_divider
+        )
+        servo = slice(*cycles)
+        return replace(
+            self,
+            name=f'{self.name} {first_s:.2f} to {last_s:.2f} s',
+            line_current=self.line_current[ticks],
+            reading=self.reading[rows],
+            commanded=None if self.commanded is None else self.commanded[servo],
+            command=None if self.command is None else self.command[servo],
+        )

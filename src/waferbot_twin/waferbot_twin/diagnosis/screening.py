@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Screening: every effect of the library on every axis, fitted linearly to what is left over.
+
+The signature of an effect, what a little of it changes in the residuals, comes from the simulation
+itself, so a new effect needs no formula of its own here. Signatures are found once, with the causes that
+were known then; a later round finds anew only those that look most likely.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, signature
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.effects.effect import Effect
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much is done and how much there is."""
+
+Signature = dict[str, Array]
+
+CHUNK = 8
+"""Candidates that a worker takes at a time."""
+
+
+@dataclass(frozen=True)
+class Screened:
+    """
+    A candidate with its linear fit.
+
+    `score` is 2 (ln L_1 - ln L_0) - k ln N; `value` the change of its parameters from where they are.
+    """
+
+    cause: Cause
+    score: float
+    value: Array
+
+
+def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
+    """Return every effect on every axis where the logs could show it, with none of it yet."""
+    found = []
+    for effect in effects:
+        for axis in effect.axes(problem.nominal):
+            if not problem.touched(effect, axis):
+                continue
+            parameters = effect.parameters(problem.nominal, axis)
+            for trial in effect.trials(problem.nominal, axis):
+                values = {
+                    item.name: trial.get(item.name, item.typical if item.shape else item.neutral)
+                    for item in parameters
+                }
+                found.append(Cause(effect, axis, values))
+    return found
+
+
+def signatures(
+    problem: Problem,
+    base: Hypothesis,
+    rivals: Sequence[Cause],
+    workers: int,
+    progress: Progress,
+) -> list[Signature | None]:
+    """
+    Return the signature of every rival beside the causes of `base`.
+
+    None for one with which the simulation blows up.
+    """
+    chunks = [rivals[first : first + CHUNK] for first in range(0, len(rivals), CHUNK)]
+    found: list[Signature | None] = []
+    pool = Parallel(n_jobs=workers, return_as='generator')
+    for part in pool(delayed(_signatures)(problem, base, chunk) for chunk in chunks):
+        found += part
+        progress('screening', len(found), len(rivals))
+    return found
+
+
+def _signatures(
+    problem: Problem, base: Hypothesis, rivals: Sequence[Cause]
+) -> list[Signature | None]:
+    found: list[Signature | None] = []
+    for rival in rivals:
+        causes = (*base.causes, rival)
+        try:
+            own = signature(problem, base, causes, len(causes) - 1)
+        except UserError:
+            found.append(None)
+            continue
+        sound = all(np.isfinite(matrix).all() for matrix in own.values())
+        found.append(own if sound else None)
+    return found
+
+
+def screen(
+    problem: Problem,
+    base: Hypothesis,
+    rivals: Sequence[Cause],
+    of_rivals: Sequence[Signature | None],
+    of_base: Sequence[Signature],
+) -> list[Screened]:
+    """Fit every rival linearly, each beside the causes of `base`; best first."""
+    found = []
+    for rival, own in zip(rivals, of_rivals, strict=True):
+        if own is None:
+            continue
+        gain = 0.0
+        value = np.zeros(0)
+        for block, matrix in own.items():
+            if not matrix.any():
+                value = np.zeros(matrix.shape[1])
+                continue
+            channels = base.residuals[block]
+            ends = np.cumsum([len(channel) for channel in channels])[:-1]
+            everything = np.hstack([matrix, *(item[block] for item in of_base if block in item)])
+            estimate = fit(
+                channels,
+                np.split(everything, ends),
+                problem.floors(block),
+                problem.orders(block),
+                rounds=2,
+            )
+            gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
+            value = estimate.value[: matrix.shape[1]]
+        if not _possible(problem, rival, value):
+            continue
+        found.append(Screened(rival, gain - len(value) * math.log(base.samples), value))
+    return sorted(found, key=lambda item: (-item.score, item.cause.name))
+
+
+def _possible(problem: Problem, rival: Cause, value: Array) -> bool:
+    """Return whether a linear estimate asks for anything that the bounds of the effect allow."""
+    parameters = parameters_of(problem, rival)
+    return any(
+        not item.shape
+        and np.clip(rival.values[item.name] + change, item.low, item.high) != item.neutral
+        for item, change in zip(parameters, value, strict=True)
+    )

@@ -1,0 +1,261 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+From residuals to causes.
+
+1. **Screen** (`screening`): every effect on every axis, linearly.
+2. **Fit** (`fitting`): the best few through the simulation, with all causes found so far.
+3. **Decide.** The best one is taken if the logarithm of its likelihood pays for its parameters and for
+   the number M of effects that were tried,
+
+       2 (ln L_1 - ln L_0) > k ln N + 4 ln M,
+
+   and if the logs kept for judging, with another motion, become more likely too.
+4. Again from 1 until nothing is taken. Then each cause is taken out in turn, to see whether the others
+   can do without it.
+
+Of everything that was fitted in place of a cause, what explains the logs as well is kept: these cannot
+be told apart from it with this data.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import fit_causes, moved
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.screening import (
+    Progress,
+    Screened,
+    Signature,
+    candidates,
+    screen,
+    signatures,
+)
+from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.effects.effect import Effect
+
+FITTED = 5
+"""How many of the best screened effects are fitted through the simulation in each round."""
+
+ANEW = 30
+"""How many signatures are found anew once a cause is known."""
+
+MOST_CAUSES = 6
+
+TELLS_APART = 10.0
+"""Difference in 2 ln L from which on one cause explains the logs better than another."""
+
+TELLS = 15.0
+"""Gain in 2 ln L that a log must be able to show for it to judge a cause."""
+
+CONFIRMS, SHARE = 8.0, 0.1
+"""
+Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
+first, and this share of what it should have.
+"""
+
+
+@dataclass
+class Rival:
+    """What else was fitted in place of a cause: by how much less likely it is, in 2 ln L."""
+
+    cause: Cause
+    behind: float
+
+
+@dataclass
+class Search:
+    """
+    What a search found.
+
+    `found` and `judged` are the causes in the logs for finding and for judging; `nothing` and
+    `judged_nothing` the nominal model there; `gains` what each cause gained in Schwarz' criterion,
+    `rivals` what was fitted in its place.
+    """
+
+    found: Hypothesis
+    judged: Hypothesis
+    nothing: Hypothesis
+    judged_nothing: Hypothesis
+    gains: dict[str, float] = field(default_factory=dict)
+    rivals: dict[str, list[Rival]] = field(default_factory=dict)
+    tried: int = 0
+
+
+def search(
+    finding: Problem,
+    judging: Problem,
+    effects: Iterable[Effect],
+    progress: Progress,
+    workers: int = 1,
+) -> Search:
+    """Find the causes in the logs of `finding` that also explain those of `judging`."""
+    every = candidates(finding, effects)
+    nothing, judged_nothing = evaluate(finding), evaluate(judging)
+    state = Search(nothing, judged_nothing, nothing, judged_nothing)
+    known = signatures(finding, nothing, every, workers, progress)
+    while len(state.found.causes) < MOST_CAUSES:
+        screened = _screen_round(finding, state.found, every, known, workers, progress)
+        state.tried += len(screened)
+        fitted = _fit_best(finding, state.found, screened, progress)
+        if not _take_best(finding, judging, state, fitted):
+            break
+    _take_out(finding, judging, state)
+    return state
+
+
+def _screen_round(
+    problem: Problem,
+    base: Hypothesis,
+    every: Sequence[Cause],
+    known: Sequence[Signature | None],
+    workers: int,
+    progress: Progress,
+) -> list[Screened]:
+    """Screen what is not yet among the causes."""
+    taken = {cause.name for cause in base.causes}
+    places = [place for place, cause in enumerate(every) if cause.name not in taken]
+    of_base = [signature(problem, base, base.causes, place) for place in range(len(base.causes))]
+    rivals = [every[place] for place in places]
+    screened = screen(problem, base, rivals, [known[place] for place in places], of_base)
+    if not base.causes:
+        return screened
+    best = [item.cause for item in screened[:ANEW]]
+    fresh = signatures(problem, base, best, workers, progress)
+    return screen(problem, base, best, fresh, of_base)
+
+
+def _fit_best(
+    problem: Problem, base: Hypothesis, screened: Sequence[Screened], progress: Progress
+) -> list[Hypothesis]:
+    """Fit the best screened effects, one trial of each, beside the causes of `base`."""
+    chosen: dict[str, Screened] = {}
+    for item in screened:
+        if item.score > 0.0 and len(chosen) < FITTED:
+            chosen.setdefault(item.cause.name, item)
+    fitted = []
+    for number, item in enumerate(chosen.values()):
+        progress(f'fitting {item.cause.name}', number, len(chosen))
+        names = [(0, parameter) for parameter in parameters_of(problem, item.cause)]
+        (start,) = moved((item.cause,), names, item.value)
+        try:
+            fitted.append(fit_causes(problem, (*base.causes, start)))
+        except UserError:
+            continue
+    return sorted(fitted, key=lambda item: item.information_criterion)
+
+
+def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
+    """Return what `more` has to gain in 2 ln L over `fewer`."""
+    extra = more.parameters - fewer.parameters
+    return extra * math.log(max(more.samples, 2)) + 4.0 * math.log(max(tried, 1))
+
+
+def _take_best(
+    finding: Problem, judging: Problem, state: Search, fitted: Sequence[Hypothesis]
+) -> bool:
+    """Take the best fitted hypothesis that pays for itself and is confirmed, if there is one."""
+    base = state.found
+    for item in fitted:
+        needed = price(item, base, state.tried)
+        if 2.0 * (item.log_likelihood - base.log_likelihood) < needed:
+            continue
+        try:
+            judged = evaluate(judging, item.causes)
+            in_finding = caused_by_command(finding, base, item)
+            in_judging = caused_by_command(judging, base, item)
+        except UserError:
+            continue
+        if in_finding.gain < needed:
+            continue
+        if in_judging.expected < TELLS:
+            # That motion does not show the effect: what was found must be beyond doubt by itself.
+            if in_finding.gain < needed + TELLS:
+                continue
+        else:
+            confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
+            if confirmed < max(CONFIRMS, SHARE * in_judging.expected):
+                continue
+            if in_judging.gain < CONFIRMS:
+                continue
+        name = item.causes[-1].name
+        state.gains[name] = base.information_criterion - item.information_criterion
+        state.rivals[name] = [
+            Rival(other.causes[-1], other.information_criterion - item.information_criterion)
+            for other in fitted
+            if other is not item
+        ]
+        state.found, state.judged = item, judged
+        return True
+    return False
+
+
+@dataclass(frozen=True)
+class ByCommand:
+    """What a cause gains in 2 ln L by what the command makes it do, and what it should gain."""
+
+    gain: float
+    expected: float
+
+
+def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> ByCommand:
+    """
+    Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
+
+    Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base`.
+    Infinite if the logs do not say what was commanded, so that this cannot be asked.
+    """
+    ideal = problem.ideal(more.causes)
+    if ideal is None:
+        return ByCommand(math.inf, math.inf)
+    cause = more.causes[-1]
+    here = evaluate(problem, base.causes)
+    there = evaluate(ideal, more.causes)
+    own = signature(ideal, there, more.causes, len(more.causes) - 1)
+    change = np.array(
+        [cause.values[item.name] - item.neutral for item in parameters_of(problem, cause)]
+    )
+    shape = np.array([item.shape for item in parameters_of(problem, cause)])
+    change[shape] = 0.0
+    gain = expected = 0.0
+    for block, matrix in own.items():
+        if not matrix.any():
+            continue
+        channels = here.residuals[block]
+        ends = np.cumsum([len(channel) for channel in channels])[:-1]
+        parts = np.split(matrix, ends)
+        estimate = fit(channels, parts, problem.floors(block), problem.orders(block))
+        gain += 2.0 * (estimate.log_likelihood - here.fits[block].log_likelihood)
+        for part, taps, deviation in zip(
+            parts, estimate.filters, estimate.deviations, strict=True
+        ):
+            expected += float(np.sum((lfilter(taps, 1.0, part @ change) / deviation) ** 2))
+    return ByCommand(gain, expected)
+
+
+def _take_out(finding: Problem, judging: Problem, state: Search) -> None:
+    """Take out causes that the others can do without."""
+    if len(state.found.causes) < 2:
+        return
+    for cause in list(state.found.causes):
+        others = tuple(item for item in state.found.causes if item.name != cause.name)
+        without = fit_causes(finding, others)
+        gain = 2.0 * (state.found.log_likelihood - without.log_likelihood)
+        if gain < price(state.found, without, state.tried):
+            state.found, state.judged = without, evaluate(judging, without.causes)
+            del state.gains[cause.name], state.rivals[cause.name]
+        else:
+            extra = state.found.parameters - without.parameters
+            state.gains[cause.name] = gain - extra * math.log(state.found.samples)
+
+
+def standard_errors(hypothesis: Hypothesis) -> np.ndarray:
+    """Return the standard error of every parameter, in the order of the causes."""
+    return np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))

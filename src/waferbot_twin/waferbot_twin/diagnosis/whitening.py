@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Least squares with coloured residuals.
+
+Residuals of real machines are correlated: friction, vibration and the controller colour them. Taken as
+white, their likelihood is far too sharp and any regressor seems significant. So each channel's residual
+is an autoregressive process,
+
+    r[n] = a_1 r[n-1] + ... + a_p r[n-p] + w[n],        w white with variance s^2,
+
+whose coefficients follow by least squares, and is compared after filtering with
+1 - a_1 z^-1 - ...: generalised least squares, iterated as by Cochrane and Orcutt. With N samples per
+channel the logarithm of the likelihood is, up to a constant,
+
+    ln L = - sum over channels of N/2 ln s^2 .
+
+Source: J. D. Hamilton, Time Series Analysis, Princeton 1994, chapters 5 and 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+
+
+def autoregression(residual: Array, order: int) -> Array:
+    """
+    Return the prediction-error filter (1, -a_1, ..., -a_p) of a residual.
+
+    Least squares on the lagged samples (the covariance method). A small part of the variance is
+    added on the diagonal, so that a residual that is nearly a line spectrum, or zero, has a filter.
+    """
+    if order == 0:
+        return np.ones(1)
+    centred = residual - residual.mean()
+    lagged = np.lib.stride_tricks.sliding_window_view(centred, order + 1)
+    moments = lagged.T @ lagged
+    variance = float(moments[0, 0])
+    if variance <= 0.0:
+        return np.concatenate([[1.0], np.zeros(order)])
+    known = moments[:order, :order] + 1e-10 * variance * np.eye(order)
+    return np.concatenate([[1.0], -np.linalg.solve(known, moments[:order, order])[::-1]])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """
+    A fit of residual + signature @ value = noise.
+
+    `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
+    the white residual of each channel, divided by its standard deviation; `filters` and `deviations`
+    those of each channel.
+    """
+
+    value: Array
+    covariance: Array
+    log_likelihood: float
+    samples: int
+    whitened: tuple[Array, ...]
+    filters: tuple[Array, ...]
+    deviations: tuple[float, ...]
+
+
+def fit(
+    residuals: Sequence[Array],
+    signatures: Sequence[Array],
+    floors: Sequence[float],
+    orders: Sequence[int],
+    rounds: int = 4,
+) -> Fit:
+    """
+    Fit the signatures (N, k) of all channels to their residuals (N,).
+
+    `orders` are those of the autoregression, 0 for white noise; `floors` are the smallest standard
+    deviations of white noise that each channel can have (that of its resolution): a perfect fit is
+    not infinitely likely.
+    """
+    count = signatures[0].shape[1]
+    value = np.zeros(count)
+    if not count:
+        return _result(residuals, signatures, value, np.zeros((0, 0)), floors, orders)
+    for _ in range(rounds):
+        left = [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
+        filters = [autoregression(r, order) for r, order in zip(left, orders, strict=True)]
+        rows, right, deviations = [], [], []
+        for r, s, now, taps, floor in zip(
+            residuals, signatures, left, filters, floors, strict=True
+        ):
+            order = len(taps) - 1
+            white = lfilter(taps, 1.0, now)[order:]
+            deviation = max(float(np.sqrt(np.mean(white**2))), floor)
+            deviations.append(deviation)
+            rows.append(lfilter(taps, 1.0, s, axis=0)[order:] / deviation)
+            right.append(-lfilter(taps, 1.0, r)[order:] / deviation)
+        matrix = np.vstack(rows)
+        scale = np.sqrt(np.sum(matrix**2, axis=0))
+        scale[scale == 0.0] = 1.0
+        solution, *_ = np.linalg.lstsq(matrix / scale, np.concatenate(right), rcond=1e-10)
+        value = solution / scale
+    inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
+    covariance = inverse / np.outer(scale, scale)
+    return _result(residuals, signatures, value, covariance, floors, orders)
+
+
+def _result(
+    residuals: Sequence[Array],
+    signatures: Sequence[Array],
+    value: Array,
+    covariance: Array,
+    floors: Sequence[float],
+    orders: Sequence[int],
+) -> Fit:
+    """Judge a value of the parameters: filter, variance and likelihood anew."""
+    log_likelihood, samples = 0.0, 0
+    whitened, filters, deviations = [], [], []
+    for r, s, floor, order in zip(residuals, signatures, floors, orders, strict=True):
+        left = r + s @ value
+        taps = autoregression(left, order)
+        white = lfilter(taps, 1.0, left)[order:]
+        deviation = max(float(np.sqrt(np.mean(white**2))), floor)
+        log_likelihood -= len(white) * np.log(deviation)
+        samples += len(white)
+        whitened.append(white / deviation)
+        filters.append(taps)
+        deviations.append(deviation)
+    return Fit(
+        value,
+        covariance,
+        log_likelihood,
+        samples,
+        tuple(whitened),
+        tuple(filters),
+        tuple(deviations),
+    )

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The command takes longer from the controller to the amplifier than in the model.
+
+In whole servo interrupts: the model has nothing in between, and the parameter is rounded. A delay
+of the feedback, which a loop feels alike, is continuous (`encoder_delay`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from waferbot_pmac.i_variables import LONGEST_COMMAND_DELAY
+from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.variant import Overlay, Variant
+
+
+def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+    most = LONGEST_COMMAND_DELAY - variant.i_variable(axis, 'command_delay')
+    return (
+        Parameter(
+            'delay', 'servo interrupts', 0.0, min(2.0, most), 0.0, most, 'more than in the model',
+            resolution=1.0,
+        ),
+    )  # fmt: skip
+
+
+def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
+    delay = round(variant.i_variable(axis, 'command_delay') + values['delay'])
+    return Overlay(pmac={axis: {'command_delay': delay}})
+
+
+EFFECT = Effect(
+    'command_delay',
+    Block.CONTROLLER,
+    'the command reaches the amplifier late',
+    places.controlled_axes,
+    _parameters,
+    _overlay,
+    equation='I(t) = command(t - delay)',
+)

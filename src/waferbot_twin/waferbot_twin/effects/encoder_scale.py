@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The encoder shows more or fewer counts per unit than the model has: x_shown = (1 + error) x."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from waferbot_twin.effects import sensors
+from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.variant import Overlay, Variant
+
+
+def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+    return (Parameter('error', '', 0.0, 2e-3, -0.5, 0.5, 'relative'),)
+
+
+def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
+    encoder = sensors.of_axis(variant, axis)
+    return sensors.overlay(encoder, {'scale_error': encoder.errors.scale + values['error']})
+
+
+EFFECT = Effect(
+    'encoder_scale',
+    Block.SENSOR,
+    'scale of the encoder is not that of the model',
+    sensors.measured_axes,
+    _parameters,
+    _overlay,
+    equation='x_shown = (1 + error) x',
+)

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same machine, prepared so that effects can be switched on without compiling it anew.
+
+What makes two machines differ in memory is the number of coordinates, springs, cables and
+frictions. `host` gives every connection that is rigid its coordinate back, held, and adds an empty
+slot for each friction of the library. Nothing moves differently, but for rounding; a tick takes
+longer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from waferbot_twin.effects import frictions, places
+from waferbot_twin.effects.variant import Overlay, Variant
+
+
+def host(variant: Variant) -> Variant:
+    """Return a variant with the same motion that has room for the effects of the library."""
+    description = variant.description
+    machine: dict[str, Any] = {
+        'connections': {
+            name: {'state': 'held'}
+            for name, part in description.connections.items()
+            if not part.flexible and not part.held
+        },
+        'frictions': {},
+        'dampers': {},
+    }
+    for axis in places.motor_axes(variant):
+        for effect in (*frictions.ON_AXIS, *frictions.ON_MOTOR):
+            if f'{axis}_{effect}' not in description.frictions:
+                machine['frictions'] |= frictions.slot(variant, axis, effect, [0.0], [0.0])[
+                    'frictions'
+                ]
+        if f'{axis}_{frictions.DAMPING}' not in description.dampers:
+            machine['dampers'] |= frictions.damper(variant, axis, 0.0)['dampers']
+    roomy = variant.with_overlay(Overlay({name: part for name, part in machine.items() if part}))
+    return replace(roomy, origin=None)

@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where things are in a machine: what effects need to know to place and to size themselves.
+
+Sizes (forces, inertias, currents) are those of the model before any effect was laid over it; what
+an effect adds to (a mass, a friction) is as the effects before it have left it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES
+from waferbot_plant import motors
+from waferbot_plant.assembly import home_mass_matrix_and_weight
+from waferbot_plant.description import Body, Joint
+from waferbot_twin.effects.variant import Variant
+
+RATED_SHARE = 0.1
+"""Share of the drive's peak current that an axis works with; the scale of forces in effects."""
+
+DAC_BITS = 32768.0
+"""Output of the controller that asks for the amplifier's peak current."""
+
+
+def motor_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes that have a motor, in the contract's order."""
+    return tuple(axis for axis in AXES if axis in variant.description.motors)
+
+
+def controlled_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes whose controller is known."""
+    return tuple(axis for axis in motor_axes(variant) if variant.pmac.get(axis))
+
+
+def amplified_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes whose amplifier is known."""
+    return tuple(axis for axis in motor_axes(variant) if variant.copley.get(axis))
+
+
+def rotary(variant: Variant, axis: str) -> bool:
+    """Return whether an axis turns."""
+    description = variant.description
+    return bool(description.revolute[description.axes[axis]])
+
+
+def coordinate(variant: Variant, axis: str) -> str:
+    """Return the coordinate that an axis is."""
+    return variant.description.axes[axis]
+
+
+def motor_coordinate(variant: Variant, axis: str) -> str:
+    """Return the coordinate that an axis' motor drives."""
+    return variant.description.motors[axis].coordinate
+
+
+def motor_rotary(variant: Variant, axis: str) -> bool:
+    """Return whether an axis' motor turns."""
+    return bool(variant.description.revolute[motor_coordinate(variant, axis)])
+
+
+def moves_with(variant: Variant, axis: str, name: str) -> bool:
+    """Return whether coordinate `name` is tied to the axis if nothing gives."""
+    placing = variant.rigid.placing
+    return name in placing and placing[name][0] == placing[coordinate(variant, axis)][0]
+
+
+def motor_ratio(variant: Variant, axis: str) -> float:
+    """Return turns (or metres) of the motor per radian (or metre) of the axis; 1 for direct drives."""
+    placing = variant.rigid.placing
+    driving, driven = motor_coordinate(variant, axis), coordinate(variant, axis)
+    if placing[driving][0] != placing[driven][0]:
+        return 1.0
+    return abs(placing[driving][1] / placing[driven][1])
+
+
+def joint_of(variant: Variant, axis: str) -> Joint | None:
+    """Return the joint whose freedom the axis is."""
+    wanted = coordinate(variant, axis)
+    for joint in variant.description.joints.values():
+        if any(freedom.name == wanted for freedom in joint.freedoms):
+            return joint
+    return None
+
+
+def jointed_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a motor that carry a body, not only a rotor."""
+    return tuple(axis for axis in motor_axes(variant) if joint_of(variant, axis) is not None)
+
+
+def direction_of(variant: Variant, axis: str) -> np.ndarray:
+    """Return the unit vector along or about which an axis moves, base frame at home."""
+    joint = joint_of(variant, axis)
+    assert joint is not None
+    wanted = coordinate(variant, axis)
+    return next(freedom.axis for freedom in joint.freedoms if freedom.name == wanted)
+
+
+def carried_bodies(variant: Variant, axis: str) -> tuple[str, ...]:
+    """Return the bodies that the axis carries up to the next axis, in the description's order."""
+    joint = joint_of(variant, axis)
+    assert joint is not None
+    found = {joint.child}
+    joints = variant.description.joints.values()
+    for _ in joints:
+        for other in joints:
+            moves = any(not freedom.connections for freedom in other.freedoms)
+            if other.parent in found and not moves:
+                found.add(other.child)
+    return tuple(name for name in variant.description.bodies if name in found)
+
+
+def carried_body(variant: Variant, axis: str) -> Body:
+    """Return the heaviest of the bodies that an axis carries up to the next axis."""
+    bodies = variant.description.bodies
+    return max((bodies[name] for name in carried_bodies(variant, axis)), key=lambda one: one.mass)
+
+
+def force_per_ampere(variant: Variant, axis: str) -> float:
+    """Return the force (N) or torque (Nm) at the axis per ampere of the motor's current."""
+    variant = variant.base
+    return abs(
+        motors.force_constant(variant.description.motors[axis]) * motor_ratio(variant, axis)
+    )
+
+
+def moving_inertia(variant: Variant, axis: str) -> float:
+    """Return the mass (kg) or inertia (kg m2) that the axis moves at home, all else rigid."""
+    variant = variant.base
+    assembly = variant.rigid
+    matrix, _ = home_mass_matrix_and_weight(
+        list(assembly.links),
+        assembly.placing,
+        len(assembly.coordinates),
+        variant.description.gravity,
+    )
+    row, ratio = assembly.placing[coordinate(variant, axis)]
+    return float((matrix[row, row] + assembly.rotor_inertia[row]) / ratio**2)
+
+
+def peak_current(variant: Variant, axis: str) -> float:
+    """Return the peak current of an axis' drive, A."""
+    variant = variant.base
+    return variant.amplifier_setting(axis, 'peak_current')
+
+
+def rated_force(variant: Variant, axis: str) -> float:
+    """Return the force (N) or torque (Nm) at the axis at a tenth of the drive's peak current."""
+    return RATED_SHARE * peak_current(variant, axis) * force_per_ampere(variant, axis)
+
+
+def rated_motor_force(variant: Variant, axis: str) -> float:
+    """Return the rated force, N or Nm, as the motor makes it, before any gear."""
+    return rated_force(variant, axis) / motor_ratio(variant, axis)
+
+
+def rated_speed(variant: Variant, axis: str) -> float:
+    """Return a brisk speed of the axis, m/s or rad/s: what rated force reaches in 50 ms."""
+    return 0.05 * rated_force(variant, axis) / moving_inertia(variant, axis)
+
+
+def usual_currents(variant: Variant, axis: str) -> tuple[float, float]:
+    """
+    Return the motor currents that hold the axis and that also speed it up as programmed, A.
+
+    From the controller's bias Ixx29 and the acceleration Ixx19 of jogging; without a controller,
+    nothing to hold and the rated force.
+    """
+    variant = variant.base
+    rated = RATED_SHARE * peak_current(variant, axis)
+    if not variant.pmac.get(axis):
+        return 0.0, rated
+    per_bit = variant.i_variable(axis, 'amplifier_peak_current') / DAC_BITS
+    holding = abs(variant.i_variable(axis, 'Ixx29')) * per_bit
+    per_second = 1e6 / variant.i_variable(axis, 'counts_per_unit')
+    acceleration = variant.i_variable(axis, 'Ixx19') * per_second
+    force = moving_inertia(variant, axis) * acceleration
+    return holding, holding + force / force_per_ampere(variant, axis)
+
+
+def tight_current(variant: Variant, axis: str) -> float:
+    """Return a current with which the axis holds but lacks a little of what its moves take, A."""
+    holding, moving = usual_currents(variant, axis)
+    return holding + 0.7 * (moving - holding)
+
+
+def force_unit(variant: Variant, axis: str) -> str:
+    """Return the unit of a force on the axis."""
+    return 'Nm' if rotary(variant, axis) else 'N'
+
+
+def motor_force_unit(variant: Variant, axis: str) -> str:
+    """Return the unit of what the motor of an axis makes."""
+    return 'Nm' if motor_rotary(variant, axis) else 'N'
+
+
+def length_unit(variant: Variant, axis: str) -> str:
+    """Return the unit of the axis' position."""
+    return 'rad' if rotary(variant, axis) else 'm'
+
+
+def force_key(variant: Variant, axis: str) -> str:
+    """Return how a force on the axis is called in a description, with its unit."""
+    return 'torque_nm' if rotary(variant, axis) else 'force_n'
+
+
+def disturbance(variant: Variant, axis: str, kind: str, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the part of a description that adds a force from outside to an axis."""
+    entry = {'kind': kind, 'coordinate': coordinate(variant, axis), **values}
+    return {'disturbances': {f'{axis}_{kind}': entry}}
+
+
+def tensor_entries(inertia: np.ndarray) -> dict[str, float]:
+    """Return an inertia tensor (3, 3) in kg m2 as a description writes it."""
+    names = {'xx': (0, 0), 'yy': (1, 1), 'zz': (2, 2), 'xy': (0, 1), 'xz': (0, 2), 'yz': (1, 2)}
+    return {
+        name: float(inertia[place])
+        for name, place in names.items()
+        if place[0] == place[1] or inertia[place] != 0.0
+    }
+
+
+def own_inertia(variant: Variant, axis: str) -> float:
+    """Return the mass (kg), or inertia about the axis (kg m2), of the body that the axis carries."""
+    body = carried_body(variant, axis)
+    if not rotary(variant, axis):
+        return body.mass
+    direction = direction_of(variant, axis)
+    return float(direction @ body.inertia @ direction)
+
+
+def more_inertia(variant: Variant, axis: str, amount: float) -> dict[str, Any]:
+    """
+    Return the part of a description that adds mass (kg) or inertia (kg m2) to what an axis carries.
+
+    Mass goes to the centre of gravity; inertia scales the whole tensor, so that it stays one that a
+    body can have.
+    """
+    body = carried_body(variant, axis)
+    if not rotary(variant, axis):
+        return {'bodies': {body.name: {'mass_kg': body.mass + amount}}}
+    scaled = body.inertia * (1.0 + amount / own_inertia(variant, axis))
+    return {'bodies': {body.name: {'inertia_kg_m2': tensor_entries(scaled)}}}
+
+
+def plain(variant: Variant, value: Any) -> Any:
+    """Return a value of a description without where it comes from, of the damping in use."""
+    if isinstance(value, dict):
+        if 'value' in value:
+            return value['value']
+        if variant.damping in value:
+            return value[variant.damping]
+    return value

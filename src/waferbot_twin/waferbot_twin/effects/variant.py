@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A model that effects can be laid over: machine, controller and amplifier settings as plain data.
+
+An effect changes a model by an `Overlay`, which says what differs in the machine's description, in
+the I-variables and in the amplifiers' settings. Laid over one another, overlays become a model
+that every engine runs, and a file that every node loads.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from waferbot_copley.settings import settings_of as amplifier_settings
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import Document, merge, parse
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.assembly import Assembly, assemble
+from waferbot_plant.description import Description, check, whole_text
+from waferbot_plant.plant import Machine, description_source
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.models import Model
+
+Settings = dict[str, dict[str, Any]]
+"""Settings per axis."""
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """What an effect changes: a part of a description, and settings by axis and name."""
+
+    machine: Mapping[str, Any] = field(default_factory=dict)
+    pmac: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    copley: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A model as data. `machine` is the whole description; it is never changed in place."""
+
+    name: str
+    machine: Mapping[str, Any]
+    damping: str
+    pmac: Settings
+    copley: Settings
+    node_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    origin: Variant | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def base(self) -> Variant:
+        """The model before anything was laid over it: what effects are sized by."""
+        return self.origin or self
+
+    @classmethod
+    def of(cls, model: Model) -> Variant:
+        """Return a model as a variant; raises `UserError` for a description that is wrong."""
+        text = whole_text(description_source(model.description))
+        machine = parse(text, model.description.split('\n', 1)[0]).data
+        others = {
+            node: {key: value for key, value in settings.items() if key not in AXES}
+            for node, settings in model.parameters.items()
+        }
+        return cls(
+            model.name,
+            machine,
+            str(model.parameters['plant'].get('damping', 'improved')),
+            {axis: dict(values) for axis, values in model.of_axes('pmac').items()},
+            {axis: dict(values) for axis, values in model.of_axes('copley').items()},
+            others,
+        )
+
+    def with_overlay(self, overlay: Overlay) -> Variant:
+        """Return the variant with an overlay laid over it; raises `UserError`."""
+        machine = copy.deepcopy(dict(self.machine))
+        if overlay.machine:
+            merge(
+                Document(machine, {(): (self.name, 1)}),
+                Document(copy.deepcopy(dict(overlay.machine)), {(): ('effect', 1)}),
+            )
+        return replace(
+            self,
+            machine=machine,
+            pmac=_laid_over(self.pmac, overlay.pmac),
+            copley=_laid_over(self.copley, overlay.copley),
+            origin=self.base,
+        )
+
+    @cached_property
+    def description(self) -> Description:
+        """The machine, checked."""
+        document = Document(copy.deepcopy(dict(self.machine)), {(): (self.name, 1)})
+        return check(document, self.damping)
+
+    @cached_property
+    def rigid(self) -> Assembly:
+        """The machine with every connection rigid: what moves with what, and how much of it."""
+        connections = {
+            name: replace(part, flexible=False, held=False)
+            for name, part in self.description.connections.items()
+        }
+        return assemble(replace(self.description, connections=connections))
+
+    def build(self, timing: Timing) -> Machine:
+        """Return the machine, assembled."""
+        return Machine(self.description, assemble(self.description), timing)
+
+    def i_variable(self, axis: str, name: str) -> float:
+        """Return an I-variable of an axis, its default where it is not set."""
+        values = servo_parameters(self.pmac, self.name)[0]
+        return float(values[name][AXES.index(axis)])
+
+    def amplifier_setting(self, axis: str, name: str) -> float:
+        """Return a setting of an axis' amplifier, its default where it is not set."""
+        if name in self.copley.get(axis, {}):
+            return float(self.copley[axis][name])
+        for setting in amplifier_settings(axis):
+            if setting.name == name:
+                return float(setting.default)
+        raise UserError(f'an amplifier has no setting {name!r}')
+
+    def model(self) -> Model:
+        """Return the variant as a model that the engines run."""
+        parameters = {
+            'plant': {**self.node_settings.get('plant', {}), 'description': self.machine_text},
+            'pmac': {**self.node_settings.get('pmac', {}), **copy.deepcopy(self.pmac)},
+            'copley': {**self.node_settings.get('copley', {}), **copy.deepcopy(self.copley)},
+        }
+        parameters['plant']['damping'] = self.damping
+        return Model(self.name, Path(f'{self.name}.yaml'), parameters)
+
+    @property
+    def machine_text(self) -> str:
+        """The description as the text of one YAML file."""
+        return yaml.safe_dump(copy.deepcopy(dict(self.machine)), sort_keys=False)
+
+
+def _laid_over(below: Settings, above: Mapping[str, Mapping[str, Any]]) -> Settings:
+    result = {axis: dict(values) for axis, values in below.items()}
+    for axis, values in above.items():
+        result.setdefault(axis, {}).update(values)
+    return result

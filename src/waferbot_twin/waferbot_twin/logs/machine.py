@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Constants of a machine that turn what a log holds (counts, phase currents) into SI units.
+
+A plain log needs a description only where it is in counts. A recording of the contract's topics needs
+the servo's and the amplifier's settings too: counts per unit, and the commutation angle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.contract import ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.description import Description, load_description
+from waferbot_plant.plant import description_source
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.models import Model
+
+POSITION_ENCODER = {
+    'y_linear': 'y_linear',
+    'x_rotate': 'x_rotate',
+    'y_rotate': 'y_rotate_load',
+}
+MOTOR_ENCODER = {
+    'y_linear': 'y_linear',
+    'x_rotate': 'x_rotate',
+    'y_rotate': 'y_rotate_motor',
+}
+"""The encoders (places of the contract) behind `position` and `motor_position` of each axis."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """
+    What is known of the machine that a log is of.
+
+    `linear` tells for each axis whether it moves by metres; `counts_per_unit` is counts per m or rad
+    by place of the contract, of the encoder's own coordinate.
+    """
+
+    name: str
+    linear: Mapping[str, bool]
+    counts_per_unit: Mapping[str, float]
+
+    def counts(self, axis: str, kind: str) -> float:
+        """Return the counts per m or rad behind a kind of signal; raises `UserError`."""
+        place = (MOTOR_ENCODER if kind == 'motor_position' else POSITION_ENCODER)[axis]
+        if place not in self.counts_per_unit:
+            known = ', '.join(self.counts_per_unit) or 'none'
+            raise UserError(
+                f'machine {self.name} has no encoder {place}, so counts of {axis} {kind} have no '
+                f'length (its encoders: {known})'
+            )
+        return self.counts_per_unit[place]
+
+
+def machine_of(description: Description) -> Machine:
+    """Return the constants of a description."""
+    return Machine(
+        description.name,
+        {
+            axis: not description.revolute[coordinate]
+            for axis, coordinate in description.axes.items()
+        },
+        {place: encoder.counts_per_unit for place, encoder in description.encoders.items()},
+    )
+
+
+def load_constants(name_or_path: str | Path) -> Machine:
+    """Return the constants of a description by name or path; raises `UserError`."""
+    return machine_of(load_description(description_source(name_or_path)))
+
+
+@dataclass(frozen=True)
+class Controls:
+    """Settings behind the contract's topics: `servo` and `amplifier` as the nodes use them."""
+
+    timing: Timing
+    servo: np.void
+    amplifier: np.void
+    machine: Machine
+
+
+def controls_of(model: Model, timing: Timing, where: str) -> Controls:
+    """Return the settings in a model; raises `UserError`."""
+    source = description_source(model.description)
+    damping = str(model.parameters['plant'].get('damping', 'improved'))
+    return Controls(
+        timing,
+        servo_parameters(model.of_axes('pmac'), where)[0],
+        amplifier_parameters(model.of_axes('copley'), timing, where)[0],
+        machine_of(load_description(source, damping=damping)),
+    )
+
+
+def encoder_name(place: int) -> str:
+    """Return the name of an encoder by its place in `Encoders.counts`."""
+    return ENCODERS[place]

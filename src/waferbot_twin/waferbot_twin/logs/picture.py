@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Picture of a measured log: what belongs together in one panel, an axis in each column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use('Agg')
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from waferbot_twin.logs.kinds import KINDS
+from waferbot_twin.logs.measured import MeasuredLog, Signal
+
+PANELS = (
+    ('position', ('commanded_position', 'position')),
+    ('motor position', ('motor_position',)),
+    ('following error', ('following_error',)),
+    ('velocity', ('velocity',)),
+    ('current', ('current_command', 'current', 'direct_current')),
+    ('drive command', ('drive_command',)),
+    ('force', ('force',)),
+    ('voltage', ('voltage_q', 'voltage')),
+    ('temperature', ('temperature',)),
+)
+
+
+def plot_log(log: MeasuredLog, file: Path) -> None:
+    """Draw a log into an image file (`.png`, `.svg`, `.pdf`); lines are broken where it has gaps."""
+    axes = log.axes()
+    there = {signal.kind for signal in log.signals}
+    rows = [(title, kinds) for title, kinds in PANELS if there.intersection(kinds)]
+    figure, panels = plt.subplots(
+        len(rows),
+        len(axes),
+        figsize=(max(7.0, 4.6 * len(axes)), 1.0 + 2.2 * len(rows)),
+        sharex='col',
+        squeeze=False,
+    )
+    for column, axis in enumerate(axes):
+        for row, (title, kinds) in enumerate(rows):
+            panel = panels[row][column]
+            signals = [found for kind in kinds if (found := log.get(axis, kind))]
+            for signal in signals:
+                style = 'steps-post' if KINDS[signal.kind].held else 'default'
+                time_s, value = _broken_at_gaps(signal)
+                label = signal.kind.replace('_', ' ')
+                panel.plot(time_s, value, lw=0.9, drawstyle=style, label=label)
+            if not signals:
+                panel.axis('off')
+                continue
+            if len(signals) > 1:
+                panel.legend(loc='upper right', fontsize=8)
+            panel.set_ylabel(f'{title} [{signals[0].unit}]')
+            panel.grid(alpha=0.3)
+        panels[0][column].set_title(axis)
+        panels[-1][column].set_xlabel('time [s]')
+    figure.suptitle(log.name, fontsize=11)
+    figure.tight_layout()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    metadata = {'Software': 'waferbot'} if file.suffix == '.png' else None
+    figure.savefig(file, dpi=110, metadata=metadata)
+    plt.close(figure)
+
+
+def _broken_at_gaps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """Return times and values with a NaN in every gap, so that no line is drawn across it."""
+    gap = np.flatnonzero(np.diff(signal.time_s) > signal.gap_s) + 1
+    return np.insert(signal.time_s, gap, signal.time_s[gap]), np.insert(signal.value, gap, np.nan)
