@@ -93,7 +93,7 @@ def with_pmac_settings(plan: Plan, file: Path) -> Plan:
 def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     """Run a plan on the chosen engine; return the result as plain values."""
     if not compiled_before():
-        say('compiling the model: once for these sources, some 20 s, then kept on disk')
+        say('compiling the model: once for these sources, half a minute, then kept on disk')
     begun_s = time.perf_counter()
     with progress_bar(f'{plan.experiment.name} on {plan.model.name}') as progress:
         if options.engine == 'inprocess':
