@@ -55,6 +55,9 @@ STARTUP_TIMEOUT_S = 60.0
 END_TIMEOUT_S = 5.0
 """Wall time for nodes to end by themselves after the run, or after one of them has gone."""
 
+LAST_WORDS_S = 1.0
+"""Wall time for the reason of a stop to arrive once every node has ended."""
+
 DRAIN_TIMEOUT_S = 5.0
 
 Progress = Callable[[int, int], None]
@@ -172,6 +175,7 @@ class _Conductor:
         deadline_s = time.monotonic() + timeout_s if timeout_s else None
         reported_s = 0.0
         grace_until_s: float | None = None
+        all_ended_s: float | None = None
         checks = 0
         while True:
             self._executor.spin_once(timeout_sec=SIGN_OF_LIFE_PERIOD_S)
@@ -193,7 +197,13 @@ class _Conductor:
                 # Give the others the time to find out for themselves and the recorder to drain.
                 if grace_until_s is None:
                     grace_until_s = now_s + (END_TIMEOUT_S if failure else DRAIN_TIMEOUT_S)
-                if now_s > grace_until_s or (failure and not self._members.alive()):
+                if failure and all_ended_s is None and not self._members.alive():
+                    all_ended_s = now_s
+                if now_s > grace_until_s or (
+                    # The reason may still be on its way when the process that sent it has ended.
+                    all_ended_s is not None
+                    and (self._recorder.stop_reason or now_s > all_ended_s + LAST_WORDS_S)
+                ):
                     if failure or self._recorder.stop_reason:
                         raise UserError(self._recorder.stop_reason or failure)
                     return  # the completeness check says what is missing
