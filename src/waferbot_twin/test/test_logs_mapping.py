@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from waferbot_lockstep.errors import UserError
@@ -184,6 +184,7 @@ def test_junk_in_a_mapping_is_the_users_error(key, junk) -> None:
     ),
     junk=JUNK,
 )
+@example(part='column', junk=1.0)
 def test_junk_in_a_signal_is_the_users_error(tmp_path_factory, part, junk) -> None:
     data = yaml.safe_load(GOOD)
     data['signals'][0][part] = junk

@@ -324,11 +324,22 @@ _GRAMMAR = json.loads(
 )
 
 
+def _whole_number(checker: object, value: object) -> bool:
+    """Return whether a value is a whole number; 1.0, which JSON takes for one, is not."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+_VALIDATOR = jsonschema.validators.extend(
+    jsonschema.Draft202012Validator,
+    type_checker=jsonschema.Draft202012Validator.TYPE_CHECKER.redefine('integer', _whole_number),
+)(_GRAMMAR)
+
+
 def _check_grammar(document: Document) -> None:
     """Turn the first complaint of the JSON schema into one line for the user."""
     if not isinstance(document.data, dict):
         raise document.error((), 'a mapping file is a mapping of keys to values')
-    errors = jsonschema.Draft202012Validator(_GRAMMAR).iter_errors(document.data)
+    errors = _VALIDATOR.iter_errors(document.data)
     error = min(
         errors, key=lambda found: (len(found.absolute_path), str(found.path)), default=None
     )
