@@ -39,7 +39,8 @@ def autoregression(residual: Array, order: int) -> Array:
     if order == 0:
         return np.ones(1)
     centred = residual - residual.mean()
-    lagged = np.lib.stride_tricks.sliding_window_view(centred, order + 1)
+    # A copy: products of overlapping views are many times slower.
+    lagged = np.lib.stride_tricks.sliding_window_view(centred, order + 1).copy()
     moments = lagged.T @ lagged
     variance = float(moments[0, 0])
     if variance <= 0.0:
