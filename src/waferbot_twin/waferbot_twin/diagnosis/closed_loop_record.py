@@ -12,6 +12,8 @@ Source: instrumental variables in closed loop, L. Ljung, System Identification, 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
@@ -26,7 +28,8 @@ def simulate(variant: Variant, record: Record) -> Record:
     """
     Return what the closed loop of `variant` logs for the commanded positions of `record`.
 
-    It begins at rest where the log begins. Raises `UserError` if the loop is unstable.
+    It has only the signals that `record` has, so that the same blocks can be replayed, and begins at
+    rest where the log begins. Raises `UserError` if the loop is unstable.
     """
     assert record.commanded is not None
     twin = Twin(variant.model(), record.timing, load_experiment('constant'))
@@ -42,4 +45,14 @@ def simulate(variant: Variant, record: Record) -> Record:
             twin.plant_parameters, positions, holding=True
         )
     twin.commanded = record.commanded - begin
-    return record_of_signals(record.name, twin.advance(record.ticks))
+    return _with_signals_of(record, record_of_signals(record.name, twin.advance(record.ticks)))
+
+
+def _with_signals_of(record: Record, simulated: Record) -> Record:
+    """Return what was simulated without the signals that a log does not have."""
+    terminals = None
+    if simulated.terminals is not None and record.terminals is not None:
+        voltage = None if record.terminals.voltage is None else simulated.terminals.voltage
+        terminals = replace(simulated.terminals, voltage=voltage)
+    command = None if record.command is None else simulated.command
+    return replace(simulated, command=command, terminals=terminals)

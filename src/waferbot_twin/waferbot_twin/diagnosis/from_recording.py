@@ -13,12 +13,13 @@ from waferbot_lockstep.contract import (
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
+    PHASE_VOLTAGES,
     SERVO_STATE,
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.commutation import electrical_angle
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array, Record, Terminals
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals
 from waferbot_twin.recording.reader import Recording, read_recording
@@ -33,6 +34,9 @@ def record_of_signals(name: str, signals: Signals) -> Record:
         signals.counts.astype(float),
         np.ascontiguousarray(signals.servo_state[:, : len(AXES)]),
         signals.current_command.copy(),
+        terminals=Terminals(
+            signals.line_current.copy(), signals.voltage.copy(), signals.open_bridges.copy()
+        ),
     )
 
 
@@ -47,7 +51,7 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
     timing = recording.timing
     encoders = _whole(recording, ENCODERS_TOPIC.name, timing.encoder_divider)
     ticks = len(encoders) * timing.encoder_divider
-    command = commanded = None
+    command = commanded = terminals = None
     if CURRENT_COMMAND.name in recording.topics:
         command = np.array(
             _whole(recording, CURRENT_COMMAND.name, timing.servo_divider)['current'], float
@@ -57,7 +61,8 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
         commanded = np.array(state['commanded_position'], float)
     if PHASE_CURRENTS.name in recording.topics:
         currents = _whole(recording, PHASE_CURRENTS.name, 1)
-        line_current = _mean_over_ticks(np.array(currents['current'], float))
+        terminals = _terminals(recording, np.array(currents['current'], float))
+        line_current = _mean_over_ticks(terminals.current)
     elif command is not None:
         line_current = _as_commanded(command, encoders, variant, timing, ticks)
     else:
@@ -72,7 +77,23 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
         np.array(encoders['counts'][: ticks // timing.encoder_divider], float),
         None if commanded is None else np.ascontiguousarray(commanded[:cycles]),
         None if command is None else np.ascontiguousarray(command[:cycles]),
+        terminals=None if terminals is None else terminals.part(slice(ticks)),
     )
+
+
+def _terminals(recording: Recording, current: Array) -> Terminals:
+    """
+    Return what was measured at the amplifiers.
+
+    Voltages that end before the currents are left out; without them the bridges are taken to be on.
+    """
+    ticks = len(current)
+    voltage, off = None, np.zeros(ticks, np.uint8)
+    if PHASE_VOLTAGES.name in recording.topics:
+        messages = _whole(recording, PHASE_VOLTAGES.name, 1)[:ticks]
+        if len(messages) == ticks:
+            voltage, off = np.array(messages['voltage'], float), np.array(messages['open'])
+    return Terminals(current, voltage, off)
 
 
 def _whole(recording: Recording, name: str, spacing: int) -> np.ndarray:

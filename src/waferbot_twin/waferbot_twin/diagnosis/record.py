@@ -14,6 +14,26 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Terminals:
+    """
+    What was measured at the amplifiers' terminals, at every tick.
+
+    current  (ticks, 6) A, lines 1 and 2 of each motor as the current sensors showed them at the tick
+    voltage  (ticks, 9) V, terminals 1, 2, 3 of each motor over the tick, or None
+    off      (ticks,) bit i set: the bridge of axis i is off, its terminals are open
+    """
+
+    current: Array
+    voltage: Array | None
+    off: NDArray[np.uint8]
+
+    def part(self, ticks: slice) -> Terminals:
+        """Return a stretch of ticks."""
+        voltage = None if self.voltage is None else self.voltage[ticks]
+        return Terminals(self.current[ticks], voltage, self.off[ticks])
+
+
+@dataclass(frozen=True)
 class Record:
     """
     One log.
@@ -23,6 +43,7 @@ class Record:
     reading       (rows, 4) counts of each encoder as published at encoder ticks, NaN where missing
     commanded     (cycles, 3) counts, commanded position at servo ticks, or None
     command       (cycles, 3) A, current command at servo ticks, or None
+    terminals     what was measured at the amplifiers' terminals, or None
 
     `whole_counts` tells whether readings are the whole counts that the controller saw.
     """
@@ -34,6 +55,7 @@ class Record:
     commanded: Array | None
     command: Array | None
     whole_counts: bool = True
+    terminals: Terminals | None = None
 
     @property
     def ticks(self) -> int:
@@ -60,4 +82,5 @@ class Record:
             reading=self.reading[rows],
             commanded=None if self.commanded is None else self.commanded[servo],
             command=None if self.command is None else self.command[servo],
+            terminals=None if self.terminals is None else self.terminals.part(ticks),
         )
