@@ -117,7 +117,7 @@ def test_recording_holds_the_imperfections(tmp_path, model):
     run_engine('inprocess', tmp_path / 'run', model=model, duration_s=0.05)
     recording = read_recording(tmp_path / 'run')
     plan = make_plan(model, 'step', 0.05)
-    twin = Twin(recorded_model(recording), plan.timing, plan.experiment)
+    twin = Twin.of(recorded_model(recording), plan.timing, plan.experiment)
     signals = twin.advance(plan.ticks)
     assert np.array_equal(signals.counts, recording['encoders']['counts'])
     assert np.array_equal(signals.line_current, recording['phase_currents']['current'])

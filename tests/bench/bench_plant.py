@@ -105,8 +105,8 @@ def time_pinocchio(model: str) -> float:
 def time_closed_loop(model: str, experiment: str) -> float:
     """Return us per tick of the whole closed loop."""
     plan = make_plan(model, experiment, 0.5)
-    Twin(plan.model, plan.timing, plan.experiment).advance(10)
-    twin = Twin(plan.model, plan.timing, plan.experiment)
+    Twin.of(plan.model, plan.timing, plan.experiment).advance(10)
+    twin = Twin.of(plan.model, plan.timing, plan.experiment)
     return microseconds_each(lambda: twin.advance(plan.ticks), plan.ticks)
 
 

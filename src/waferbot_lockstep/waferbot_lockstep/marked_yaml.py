@@ -14,6 +14,7 @@ settings. It is YAML's safe subset, with four differences:
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -162,24 +163,43 @@ def merge(base: Document, overlay: Document) -> None:
     A value of `null` in the overlay takes the key away; it must be there, else `UserError`. Places
     of replaced values are the overlay's. The root of both is a mapping.
     """
-    _merge(base.data, overlay.data, (), base, overlay)
-
-
-def _merge(
-    into: dict[Any, Any], above: dict[Any, Any], key: Key, base: Document, overlay: Document
-) -> None:
-    for part, value in above.items():
-        inner = (*key, part)
-        below = into.get(part)
-        if isinstance(value, dict) and isinstance(below, dict) and 'from' not in below:
-            _merge(into[part], value, inner, base, overlay)
-            continue
-        if value is None:
-            if part not in into:
-                raise overlay.error(inner, 'there is nothing of this name to take away')
-            del into[part]
-        else:
-            into[part] = value
+    replaced: list[Key] = []
+    base.data = _merged(base.data, overlay, (), overlay.data, replaced)
+    for inner in replaced:
         for place, where in overlay.places.items():
             if place[: len(inner)] == inner:
                 base.places[place] = where
+
+
+def merged(base: Mapping[Any, Any], overlay: Mapping[Any, Any], where: str) -> dict[Any, Any]:
+    """
+    Return plain data with `overlay` laid over it by the rules of `merge`; both stay as they are.
+
+    What the overlay does not touch is shared with `base`, not copied. `where` is for messages.
+    """
+    return _merged(base, Document(overlay, {(): (where, 1)}), (), overlay, [])
+
+
+def _merged(
+    below: Mapping[Any, Any],
+    overlay: Document,
+    key: Key,
+    above: Mapping[Any, Any],
+    replaced: list[Key],
+) -> dict[Any, Any]:
+    """Return `above`, the part of `overlay` at `key`, laid over `below`; note what it replaces."""
+    result = dict(below)
+    for part, value in above.items():
+        inner = (*key, part)
+        old = result.get(part)
+        if isinstance(value, dict) and isinstance(old, dict) and 'from' not in old:
+            result[part] = _merged(old, overlay, inner, value, replaced)
+            continue
+        if value is None:
+            if part not in result:
+                raise overlay.error(inner, 'there is nothing of this name to take away')
+            del result[part]
+        else:
+            result[part] = value
+        replaced.append(inner)
+    return result

@@ -14,6 +14,7 @@ import dataclasses
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
@@ -71,11 +72,15 @@ def read_part(document: Document, key: Key, data: dict[str, Any]) -> Any:
     return _build(document, key, kind, values)
 
 
+_fields = lru_cache(maxsize=None)(typing.get_type_hints)
+"""Names and types of the fields of a part."""
+
+
 def _build(document: Document, key: Key, kind: type, data: Any) -> Any:
     """Build the dataclass `kind` from a mapping whose keys are its fields."""
     if not isinstance(data, dict):
         raise document.error(key, 'must be a mapping')
-    types = typing.get_type_hints(kind)
+    types = _fields(kind)
     for name in data:
         if name not in types:
             raise document.error((*key, name), f'unknown key{did_you_mean(name, types)}')

@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -261,6 +262,7 @@ Gains are whole numbers carried as float64; a float64 holds every 24-bit number 
 """
 
 
+@lru_cache(maxsize=len(AXES))
 def axis_parameters(axis: str) -> tuple[Parameter, ...]:
     """
     Return the declarations for one axis, with the defaults of that axis.

@@ -39,7 +39,7 @@ def test_growth_rate_is_that_of_the_running_twin() -> None:
     structural mode is followed over 0.4 s of the running loop, too small for any limit to act.
     """
     plan = step_plan('calculated', 'y_linear')
-    twin = Twin(plan.model, plan.timing, plan.experiment)
+    twin = Twin.of(plan.model, plan.timing, plan.experiment)
     twin.plant_parameters['friction_resistance'] = 0.0
     twin.plant_state = twin.machine.resting_state(twin.plant_parameters)
     twin.commanded[:] = 0.0

@@ -89,7 +89,7 @@ def neutral(name: str, variant: Variant, axis: str) -> Values:
 
 
 def twin(variant: Variant) -> Twin:
-    return Twin(variant.model(), TIMING, load_experiment(MOTION))
+    return Twin.of(variant.model(), TIMING, load_experiment(MOTION))
 
 
 @functools.cache

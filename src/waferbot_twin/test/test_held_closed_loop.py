@@ -18,7 +18,7 @@ def test_closed_loop_of_held_follows_that_of_rigid() -> None:
     found = []
     for state in ('held', 'rigid'):
         plan = make_plan('flexible', 'step', 0.2)
-        twin = Twin(plan.model, plan.timing, plan.experiment)
+        twin = Twin.of(plan.model, plan.timing, plan.experiment)
         twin.machine = load_machine('flexible', state, timing=Timing())
         twin.plant_parameters = twin.machine.parameters()
         twin.plant_state = twin.machine.resting_state(twin.plant_parameters)

@@ -117,7 +117,7 @@ def run(folder: Path, machine: dict, servo: dict, amplifier: dict) -> Signals:
         'utf-8',
     )
     experiment = load_experiment('full_stroke_x_rotate')
-    return Twin(load_model(str(model)), TIMING, experiment).advance(TICKS)
+    return Twin.of(load_model(str(model)), TIMING, experiment).advance(TICKS)
 
 
 @cache

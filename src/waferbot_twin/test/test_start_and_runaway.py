@@ -17,7 +17,7 @@ from waferbot_twin.recording.reader import read_recording
 
 
 def twin_of(plan: Plan) -> Twin:
-    return Twin(plan.model, plan.timing, plan.experiment)
+    return Twin.of(plan.model, plan.timing, plan.experiment)
 
 
 @pytest.mark.parametrize('model', ['rigid', 'simplified', 'flexible'])

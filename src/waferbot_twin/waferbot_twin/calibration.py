@@ -560,7 +560,7 @@ def _plan(axis: str) -> Plan:
 def _pristine(axis: str) -> Twin:
     """Return a twin whose settings candidates start from; it is never run."""
     plan = _plan(axis)
-    return Twin(plan.model, plan.timing, plan.experiment)
+    return Twin.of(plan.model, plan.timing, plan.experiment)
 
 
 def servo_record(variables: Mapping[str, Values]) -> np.ndarray:

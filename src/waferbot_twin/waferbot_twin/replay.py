@@ -125,7 +125,7 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
     """Return what the block puts out for the recorded inputs, as arrays like the recorded ones."""
     timing = recording.timing
     check_inputs(recording, node)
-    twin = Twin(model, timing, load_experiment('constant'))
+    twin = Twin.of(model, timing, load_experiment('constant'))
     outputs = {topic: recording[topic].copy() for topic in OUTPUTS[node]}
     if node == 'plant':
         voltages = np.ascontiguousarray(recording[PHASE_VOLTAGES]['voltage'])

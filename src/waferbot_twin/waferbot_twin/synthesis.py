@@ -153,7 +153,7 @@ def synthesize(
     ticks = timing.ticks(loaded.duration_s)
     left_out = [topic for name in without for topic in LEFT_OUT[name]]
     topics = [topic for topic in CONTRACT_TOPICS if topic not in left_out]
-    twin = Twin(variant.model(), timing, loaded)
+    twin = Twin.of(variant.model(), timing, loaded)
     run = {'engine': 'machine', 'ticks': ticks, 'timing': dataclasses.asdict(timing)}
     with RecordingWriter(out, {'run.json': as_json(run)}, force) as writer:
         recorder = SignalRecorder(writer, timing, topics, standard_topics=False)

@@ -130,7 +130,7 @@ def step_plan(model: str, axis: str) -> Plan:
 def run_step(model: str, axis: str) -> Run:
     """Run one axis' step on a model, in process; a plant that blows up is run as far as it goes."""
     plan = step_plan(model, axis)
-    twin = Twin(plan.model, plan.timing, plan.experiment)
+    twin = Twin.of(plan.model, plan.timing, plan.experiment)
     begun_s = time.perf_counter()
     try:
         signals, blew_up = twin.advance(plan.ticks), False

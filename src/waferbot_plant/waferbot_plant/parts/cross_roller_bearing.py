@@ -16,6 +16,7 @@ bearing is stiffer in the plane of the static moment (about z) than across it (a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from waferbot_plant.parts.checks import (
     STANDARD_GRAVITY_M_PER_S2,
@@ -84,6 +85,7 @@ def static_load(
     return CrossRollerLoad(radial_n=weight_n, moment_nm=weight_n * abs(overhang_m))
 
 
+@lru_cache(maxsize=64)
 def stiffness(bearing: CrossRollerBearing, load: CrossRollerLoad) -> CrossRollerStiffness:
     """
     Return the stiffnesses of the bearing at its static load.

@@ -15,6 +15,7 @@ of 1 g the loads leave that range and the numbers lose meaning.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from waferbot_plant.parts.checks import (
     STANDARD_GRAVITY_M_PER_S2,
@@ -103,6 +104,7 @@ def static_block_load(
     )
 
 
+@lru_cache(maxsize=64)
 def moment_stiffness(bearing: LinearBearing, load: BlockLoad) -> MomentStiffness:
     """
     Return the stiffness against rotation about x, y and z in Nm/rad, equations (5.23) to (5.25).

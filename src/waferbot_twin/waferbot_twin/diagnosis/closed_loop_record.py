@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
-from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 
@@ -32,7 +32,8 @@ def simulate(variant: Variant, record: Record) -> Record:
     rest where the log begins. Raises `UserError` if the loop is unstable.
     """
     assert record.commanded is not None
-    twin = Twin(variant.model(), record.timing, load_experiment('constant'))
+    machine = compact(variant).build(record.timing)
+    twin = Twin(machine, variant.pmac, variant.copley, record.timing, variant.name)
     per_unit = twin.servo_parameters[0]['counts_per_unit']
     begin = record.commanded[0]
     if np.any(np.abs(begin) > 1.0):

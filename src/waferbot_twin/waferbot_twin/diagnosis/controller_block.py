@@ -55,4 +55,6 @@ class ControllerBlock:
         state = servo.initial_state(parameters)
         computed = np.zeros_like(self.record.command)
         replay_servo(state, parameters, self._counts, self.record.commanded, computed)
-        return [self.record.command[:, place] - computed[:, place] for place in self._axes]
+        left = self.record.command - computed
+        first = round(self.record.judged_from_s * self.record.timing.servo_hz)
+        return [left[first:, place] for place in self._axes]

@@ -60,6 +60,7 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
     closed_loop = record.commanded is not None
     if closed_loop:
         before, after = (simulate(variant, record).reading for variant in (nominal, extended))
+    first_s = record.judged_from_s
     found = []
     for place, axis in enumerate(AXES):
         encoder = nominal.description.encoders.get(ENCODERS[place])
@@ -70,19 +71,23 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
             continue
         if closed_loop:
             errors = [side[:, place] - measured for side in (before, after)]
+            time_s = (
+                np.arange(len(measured)) * record.timing.encoder_divider * record.timing.tick_s
+            )
         else:
             errors = [_innovation(variant, record, place) for variant in (nominal, extended)]
-            measured = measured[:: len(measured) // len(errors[0])][: len(errors[0])]
-        per_row = len(record.reading) / len(errors[0])
-        step_s = per_row * record.timing.encoder_divider * record.timing.tick_s
-        known = np.isfinite(errors[0]) & np.isfinite(measured)
+            block = PlantBlock(record, nominal)
+            rows = (block.first_cycle + np.arange(len(errors[0]))) * block.averaged
+            measured = measured[rows]
+            time_s = rows * record.timing.encoder_divider * record.timing.tick_s
+        known = np.isfinite(errors[0]) & np.isfinite(measured) & (time_s >= first_s)
         unit = 'rad' if nominal.description.revolute[encoder.coordinate] else 'm'
         found.append(
             AxisGain(
                 record.name,
                 axis,
                 unit,
-                np.asarray(np.flatnonzero(known) * step_s, np.float64),
+                np.asarray(time_s[known], np.float64),
                 measured[known] / encoder.counts_per_unit,
                 errors[0][known] / encoder.counts_per_unit,
                 errors[1][known] / encoder.counts_per_unit,

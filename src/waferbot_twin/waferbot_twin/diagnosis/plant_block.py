@@ -28,6 +28,7 @@ from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, plant
 from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
 
 OBSERVER_RAD_S = 2.0 * math.pi * 80.0
@@ -52,8 +53,8 @@ class PlantBlock:
         """Prepare what does not depend on the values of the model."""
         self.record = record
         timing = record.timing
-        self._averaged = timing.servo_divider // timing.encoder_divider
-        self._skipped = round(SETTLING_S * timing.servo_hz)
+        self.averaged = timing.servo_divider // timing.encoder_divider
+        self.first_cycle = round(max(SETTLING_S, record.judged_from_s) * timing.servo_hz)
         self._places = [
             place
             for place, name in enumerate(ENCODERS)
@@ -61,7 +62,7 @@ class PlantBlock:
             and np.isfinite(record.reading[:, place]).mean() > 0.5
         ]
         self.channels = [ENCODERS[place] for place in self._places]
-        self.floors = [FLOOR_COUNTS / math.sqrt(self._averaged)] * len(self._places)
+        self.floors = [FLOOR_COUNTS / math.sqrt(self.averaged)] * len(self._places)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """
@@ -70,7 +71,7 @@ class PlantBlock:
         Raises `UserError` if the simulation blows up.
         """
         record = self.record
-        machine = variant.build(record.timing)
+        machine = compact(variant).build(record.timing)
         parameters = machine.parameters()
         state = machine.resting_state(parameters)
         p = parameters[0]
@@ -101,9 +102,9 @@ class PlantBlock:
             raise UserError(
                 f'{record.name}: the plant blew up when driven by the measured currents'
             )
-        whole = len(innovation) // self._averaged
-        averaged = innovation[: whole * self._averaged].reshape(whole, self._averaged, -1)
-        return [averaged[self._skipped :, :, place].mean(axis=1) for place in self._places]
+        whole = len(innovation) // self.averaged
+        averaged = innovation[: whole * self.averaged].reshape(whole, self.averaged, -1)
+        return [averaged[self.first_cycle :, :, place].mean(axis=1) for place in self._places]
 
     def _stand_where_measured(
         self, state: np.ndarray, parameters: np.ndarray, step_s: float

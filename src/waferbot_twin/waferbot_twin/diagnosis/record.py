@@ -45,7 +45,9 @@ class Record:
     command       (cycles, 3) A, current command at servo ticks, or None
     terminals     what was measured at the amplifiers' terminals, or None
 
-    `whole_counts` tells whether readings are the whole counts that the controller saw.
+    `whole_counts` tells whether readings are the whole counts that the controller saw. What lies
+    before `judged_from_s` is simulated, so that the machine is in the state that it had by then,
+    but not judged.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Record:
     command: Array | None
     whole_counts: bool = True
     terminals: Terminals | None = None
+    judged_from_s: float = 0.0
 
     @property
     def ticks(self) -> int:
@@ -68,19 +71,16 @@ class Record:
         return self.timing.seconds(self.ticks)
 
     def part(self, first_s: float, last_s: float) -> Record:
-        """Return what lies between two times, on whole servo cycles."""
-        cycles = [round(time_s * self.timing.servo_hz) for time_s in (first_s, last_s)]
-        ticks = slice(*(cycle * self.timing.servo_divider for cycle in cycles))
-        rows = slice(
-            ticks.start // self.timing.encoder_divider, ticks.stop // self.timing.encoder_divider
-        )
-        servo = slice(*cycles)
+        """Return the record up to a time, of which only what lies between two times is judged."""
+        cycles = round(last_s * self.timing.servo_hz)
+        ticks = cycles * self.timing.servo_divider
         return replace(
             self,
             name=f'{self.name} {first_s:.2f} to {last_s:.2f} s',
-            line_current=self.line_current[ticks],
-            reading=self.reading[rows],
-            commanded=None if self.commanded is None else self.commanded[servo],
-            command=None if self.command is None else self.command[servo],
-            terminals=None if self.terminals is None else self.terminals.part(ticks),
+            line_current=self.line_current[:ticks],
+            reading=self.reading[: ticks // self.timing.encoder_divider],
+            commanded=None if self.commanded is None else self.commanded[:cycles],
+            command=None if self.command is None else self.command[:cycles],
+            terminals=None if self.terminals is None else self.terminals.part(slice(0, ticks)),
+            judged_from_s=first_s,
         )

@@ -170,7 +170,7 @@ def _take_best(
         try:
             judged = evaluate(judging, item.causes)
             in_finding = caused_by_command(finding, base, item)
-            in_judging = caused_by_command(judging, base, item)
+            in_judging = caused_by_command(judging, state.judged, item)
         except UserError:
             continue
         if in_finding.gain < needed:
@@ -209,14 +209,14 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     """
     Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
 
-    Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base`.
+    Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base` in the
+    logs of `problem`.
     Infinite if the logs do not say what was commanded, so that this cannot be asked.
     """
     ideal = problem.ideal(more.causes)
     if ideal is None:
         return ByCommand(math.inf, math.inf)
     cause = more.causes[-1]
-    here = evaluate(problem, base.causes)
     there = evaluate(ideal, more.causes)
     own = signature(ideal, there, more.causes, len(more.causes) - 1)
     change = np.array(
@@ -228,11 +228,11 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     for block, matrix in own.items():
         if not matrix.any():
             continue
-        channels = here.residuals[block]
+        channels = base.residuals[block]
         ends = np.cumsum([len(channel) for channel in channels])[:-1]
         parts = np.split(matrix, ends)
         estimate = fit(channels, parts, problem.floors(block), problem.orders(block))
-        gain += 2.0 * (estimate.log_likelihood - here.fits[block].log_likelihood)
+        gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
         for part, taps, deviation in zip(
             parts, estimate.filters, estimate.deviations, strict=True
         ):

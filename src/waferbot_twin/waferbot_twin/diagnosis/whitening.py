@@ -38,15 +38,28 @@ def autoregression(residual: Array, order: int) -> Array:
     """
     if order == 0:
         return np.ones(1)
-    centred = residual - residual.mean()
-    # A copy: products of overlapping views are many times slower.
-    lagged = np.lib.stride_tricks.sliding_window_view(centred, order + 1).copy()
-    moments = lagged.T @ lagged
+    moments = _moments(residual - residual.mean(), order)
     variance = float(moments[0, 0])
     if variance <= 0.0:
         return np.concatenate([[1.0], np.zeros(order)])
     known = moments[:order, :order] + 1e-10 * variance * np.eye(order)
     return np.concatenate([[1.0], -np.linalg.solve(known, moments[:order, order])[::-1]])
+
+
+def _moments(x: Array, order: int) -> Array:
+    """
+    Return the sums m_ij = sum over n = p ... N - 1 of x[n - p + i] x[n - p + j], for i, j = 0 ... p.
+
+    Down a diagonal only the first and the last product change:
+    m_(i+1)(j+1) = m_ij - x[i] x[j] + x[N - p + i] x[N - p + j].
+    """
+    rows = len(x) - order
+    first, last = x[:order], x[rows:]
+    moments = np.zeros((order + 1, order + 1))
+    moments[0] = np.correlate(x, x[:rows], 'valid')
+    for i in range(order):
+        moments[i + 1, i + 1 :] = moments[i, i:-1] - first[i] * first[i:] + last[i] * last[i:]
+    return np.triu(moments) + np.triu(moments, 1).T
 
 
 @dataclass(frozen=True)

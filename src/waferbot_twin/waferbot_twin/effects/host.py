@@ -5,7 +5,7 @@ The same machine, prepared so that effects can be switched on without compiling 
 What makes two machines differ in memory is the number of coordinates, springs, cables and
 frictions. `host` gives every connection that is rigid its coordinate back, held, and adds an empty
 slot for each friction of the library. Nothing moves differently, but for rounding; a tick takes
-longer.
+longer. As long as no effect has let one go, `compact` takes the held connections out again.
 """
 
 from __future__ import annotations
@@ -39,3 +39,23 @@ def host(variant: Variant) -> Variant:
             machine['dampers'] |= frictions.damper(variant, axis, 0.0)['dampers']
     roomy = variant.with_overlay(Overlay({name: part for name, part in machine.items() if part}))
     return replace(roomy, origin=None)
+
+
+def compact(variant: Variant) -> Variant:
+    """
+    Return a variant with its held connections rigid, if none of those of its host was let go.
+
+    It moves alike, in fewer coordinates. One that lets go of anything is returned as it is: not to
+    compile a machine for every choice of what gives.
+    """
+    held = _held(variant)
+    if not held or held != _held(variant.base):
+        return variant
+    return variant.with_overlay(
+        Overlay({'connections': {name: {'state': 'rigid'} for name in held}})
+    )
+
+
+def _held(variant: Variant) -> list[str]:
+    connections = variant.machine.get('connections', {})
+    return [name for name, entry in connections.items() if entry.get('state') == 'held']

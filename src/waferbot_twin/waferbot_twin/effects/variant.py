@@ -16,12 +16,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from waferbot_copley.settings import settings_of as amplifier_settings
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, merge, parse
+from waferbot_lockstep.marked_yaml import Document, merged, parse
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Assembly, assemble
 from waferbot_plant.description import Description, check, whole_text
@@ -79,15 +80,9 @@ class Variant:
 
     def with_overlay(self, overlay: Overlay) -> Variant:
         """Return the variant with an overlay laid over it; raises `UserError`."""
-        machine = copy.deepcopy(dict(self.machine))
-        if overlay.machine:
-            merge(
-                Document(machine, {(): (self.name, 1)}),
-                Document(copy.deepcopy(dict(overlay.machine)), {(): ('effect', 1)}),
-            )
         return replace(
             self,
-            machine=machine,
+            machine=merged(self.machine, overlay.machine, 'effect'),
             pmac=_laid_over(self.pmac, overlay.pmac),
             copley=_laid_over(self.copley, overlay.copley),
             origin=self.base,
@@ -96,7 +91,7 @@ class Variant:
     @cached_property
     def description(self) -> Description:
         """The machine, checked."""
-        document = Document(copy.deepcopy(dict(self.machine)), {(): (self.name, 1)})
+        document = Document(dict(self.machine), {(): (self.name, 1)})
         return check(document, self.damping)
 
     @cached_property
@@ -108,14 +103,17 @@ class Variant:
         }
         return assemble(replace(self.description, connections=connections))
 
+    @cached_property
+    def _servo(self) -> np.void:
+        return servo_parameters(self.pmac, self.name)[0]
+
     def build(self, timing: Timing) -> Machine:
         """Return the machine, assembled."""
         return Machine(self.description, assemble(self.description), timing)
 
     def i_variable(self, axis: str, name: str) -> float:
         """Return an I-variable of an axis, its default where it is not set."""
-        values = servo_parameters(self.pmac, self.name)[0]
-        return float(values[name][AXES.index(axis)])
+        return float(self._servo[name][AXES.index(axis)])
 
     def amplifier_setting(self, axis: str, name: str) -> float:
         """Return a setting of an axis' amplifier, its default where it is not set."""
@@ -139,7 +137,14 @@ class Variant:
     @property
     def machine_text(self) -> str:
         """The description as the text of one YAML file."""
-        return yaml.safe_dump(copy.deepcopy(dict(self.machine)), sort_keys=False)
+        return yaml.dump(dict(self.machine), Dumper=_WithoutAliases, sort_keys=False)
+
+
+class _WithoutAliases(yaml.SafeDumper):
+    """Writes out what stands in two places; our reader takes no aliases."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
 
 
 def _laid_over(below: Settings, above: Mapping[str, Mapping[str, Any]]) -> Settings:

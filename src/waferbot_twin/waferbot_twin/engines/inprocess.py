@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -155,27 +155,46 @@ class Twin:
     `advance` goes on from wherever it stands.
     """
 
-    def __init__(self, model: Model, timing: Timing, experiment: Experiment) -> None:
-        """Build parameters and initial states; raises `UserError`."""
+    def __init__(
+        self,
+        machine: plant.Machine,
+        pmac: Mapping[str, Mapping[str, Any]],
+        copley: Mapping[str, Mapping[str, Any]],
+        timing: Timing,
+        source: str,
+    ) -> None:
+        """
+        Build parameters and initial states of a machine and of its axes' settings.
+
+        It is commanded to stay where it is; `source` is for messages. Raises `UserError`.
+        """
         self.timing = timing
-        self.machine = plant.load_machine(
-            model.parameters['plant'].get('description', 'rigid'),
-            damping=model.parameters['plant'].get('damping', 'improved'),
-            timing=timing,
-        )
+        self.machine = machine
         self.plant_parameters = self.machine.parameters()
         self.plant_state = self.machine.resting_state(self.plant_parameters)
-        self.servo_parameters = servo_parameters(model.of_axes('pmac'), str(model.path))
+        self.servo_parameters = servo_parameters(pmac, source)
         self.servo_state = servo.initial_state(self.servo_parameters)
-        self.amplifier_parameters = amplifier_parameters(
-            model.of_axes('copley'), timing, str(model.path)
-        )
+        self.amplifier_parameters = amplifier_parameters(copley, timing, source)
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
-        self.commanded = commanded_positions(experiment, self.servo_parameters, timing.servo_hz)
+        self.commanded = np.zeros((1, len(AXES)))
         self.tick = 0
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)
         self._current = np.zeros(len(AXES))
+
+    @classmethod
+    def of(cls, model: Model, timing: Timing, experiment: Experiment) -> Twin:
+        """Return the twin of a model, commanded by an experiment; raises `UserError`."""
+        machine = plant.load_machine(
+            model.parameters['plant'].get('description', 'rigid'),
+            damping=model.parameters['plant'].get('damping', 'improved'),
+            timing=timing,
+        )
+        twin = cls(
+            machine, model.of_axes('pmac'), model.of_axes('copley'), timing, str(model.path)
+        )
+        twin.commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        return twin
 
     def advance(self, ticks: int) -> Signals:
         """
@@ -227,7 +246,7 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
 
     Raises `UserError` if the folder exists (unless `force`) or the plan is impossible.
     """
-    twin = Twin(plan.model, plan.timing, plan.experiment)
+    twin = Twin.of(plan.model, plan.timing, plan.experiment)
     _compile(plan)
     begun_s = time.perf_counter()
     if out is None:
@@ -251,7 +270,7 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
 
 def _compile(plan: Plan) -> None:
     """Compile the loop, or load it from disk, on a twin of its own."""
-    Twin(plan.model, plan.timing, plan.experiment).advance(1)
+    Twin.of(plan.model, plan.timing, plan.experiment).advance(1)
 
 
 def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
