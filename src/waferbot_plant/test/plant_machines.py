@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import tempfile
 from pathlib import Path
@@ -14,6 +15,9 @@ import yaml
 
 from waferbot_plant.plant import Machine
 
+_FOLDER = tempfile.TemporaryDirectory(prefix='waferbot_test_')  # goes when the tests end
+_NUMBERS = itertools.count()
+
 
 def remove_losses(parameters: Any) -> None:
     """Take all friction and damping out of a machine's parameters, in place."""
@@ -24,8 +28,7 @@ def remove_losses(parameters: Any) -> None:
 
 def write(description: dict[str, Any]) -> Path:
     """Write a description to a file of its own and return its path."""
-    folder = Path(tempfile.mkdtemp(prefix='waferbot_test_'))
-    path = folder / 'machine.yaml'
+    path = Path(_FOLDER.name) / f'machine_{next(_NUMBERS)}.yaml'
     unshared = json.loads(json.dumps(description))  # else YAML would write aliases
     path.write_text(yaml.safe_dump(unshared, sort_keys=False), encoding='utf-8')
     return path
