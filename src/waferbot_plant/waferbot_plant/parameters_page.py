@@ -25,9 +25,11 @@ from waferbot_plant.description import DAMPING
 from waferbot_plant.plant import config_folder, load_machine
 
 UNITS = {
-    'n_s_m': 'N s/m', 'nm_s_rad': 'Nm s/rad', 'v_s_m': 'V s/m', 'v_s_rad': 'V s/rad',
+    'counts_per_m': 'counts/m', 'counts_per_revolution': 'counts/turn',
+    'n_s_m': 'N s/m', 'nm_s_rad': 'Nm s/rad', 'n_m': 'N/m', 'nm_rad': 'Nm/rad', 'v_s_m': 'V s/m', 'v_s_rad': 'V s/rad',
     'nm_per_arcmin': 'Nm/arcmin', 'n_per_m': 'N/m', 'rad_per_s': 'rad/s', 'per_block_n': 'N',
     'kg_m2': 'kg m²', 'm_s2': 'm/s²', 'k_w': 'K/W', 'j_k': 'J/K', '1_k': '1/K', 'degc': '°C',
+    'm_s': 'm/s', 'rad_s': 'rad/s', 'hz': 'Hz', 'a': 'A', 's': 's', 'counts': 'counts',
     'rpm': 'rpm', 'ohm': 'ohm', 'kg': 'kg', 'pa': 'Pa', 'nm': 'Nm', 'rad': 'rad', 'm': 'm', 'n': 'N',
     'h': 'H', 'um': 'µm', 'urad': 'µrad',
 }  # fmt: skip
@@ -35,6 +37,12 @@ UNITS = {
 
 _SECTION = re.compile(r'(<!-- generated: (\w+) -->\n).*?(<!-- end -->)', re.DOTALL)
 _LONGEST_LIST = 3
+
+
+def unit_of(key: str) -> str:
+    """Return the unit that the ending of a key tells, nothing where it tells none."""
+    endings = (unit for ending, unit in UNITS.items() if re.search(rf'(^|_){ending}$', key))
+    return next(endings, '')
 
 
 def renewed(page: str) -> str:
@@ -81,10 +89,7 @@ def values() -> str:
             text = _text(quantity['value'])
         else:
             text = ', '.join(f'{name} {_text(quantity[name])}' for name in DAMPING)
-        unit = next(
-            (unit for ending, unit in UNITS.items() if re.search(rf'(^|_){ending}$', key[-1])), ''
-        )
-        rows.append(f'| `{".".join(key)}` | {text} | {unit} | {quantity["from"]} |')
+        rows.append(f'| `{".".join(key)}` | {text} | {unit_of(key[-1])} | {quantity["from"]} |')
     return '\n'.join(rows)
 
 

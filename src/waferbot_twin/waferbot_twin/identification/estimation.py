@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Named parameters, fitted through the simulation of the blocks.
+
+The residuals of the blocks (`diagnosis.problem`) are whitened by the autoregressions of what is left, and
+the sum of their squares is made as small as can be; then the autoregressions are found anew, and so on.
+Added to it is a square for how far each parameter is from the model's value, in half ranges. It is as
+nothing beside what signals say, and where they say nothing, parameters stay where the model has them.
+
+The covariance is that of the linear problem at the end (`conditioning`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.whitening import Fit
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification.colour import flattened, spectrum
+from waferbot_twin.identification.conditioning import Conditioning, conditioning
+from waferbot_twin.identification.named_parameters import MODEL, NamedParameter
+
+STEP = 2e-3
+"""Step of the difference quotients, in scaled values."""
+
+ROUNDS = 6
+"""Most often that the whitening is found anew."""
+
+SETTLED = 0.1
+"""Change, in standard errors, below which another round is not worth its time."""
+
+EVALUATIONS = 12
+"""Most simulations of one fit with the same whitening, those for derivatives not counted."""
+
+IMPOSSIBLE = 1e6
+"""Residual in place of one of a model that cannot be simulated."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """
+    Fitted parameters.
+
+    `scaled` values (k,), what the signals say about them, and the model `before` and `after` with its
+    residuals. `blocks` are those in which the parameters show.
+    """
+
+    parameters: tuple[NamedParameter, ...]
+    scaled: Array
+    conditioning: Conditioning
+    blocks: tuple[str, ...]
+    before: Hypothesis
+    after: Hypothesis
+    settled: bool
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """The parameters as what is laid over the model."""
+        return _causes(self.parameters, self.scaled)
+
+    def variant(self, nominal: Variant) -> Variant:
+        """Return the model with the fitted values."""
+        return apply_all(nominal, self.causes)
+
+
+def estimate(
+    problem: Problem, parameters: Sequence[NamedParameter], progress: Progress
+) -> Estimate:
+    """
+    Return the parameters that make the logs most likely.
+
+    Raises `UserError` if nothing in the logs shows any of them, or if the model cannot be simulated
+    with the values that it begins with.
+    """
+    scaled = np.zeros(len(parameters))
+    before = after = evaluate(problem, _causes(parameters, scaled))
+    settled = False
+    for done in range(ROUNDS):
+        progress(done, ROUNDS)
+        better, errors = _Fitting(problem, parameters, after).least_squares(scaled)
+        settled = bool(np.all(np.abs(better - scaled) < SETTLED * errors))
+        scaled = better
+        after = evaluate(problem, _causes(parameters, scaled))
+        if settled:
+            break
+    fitting = _Fitting(problem, parameters, after)
+    return Estimate(
+        tuple(parameters),
+        scaled,
+        fitting.conditioning(scaled),
+        fitting.blocks,
+        before,
+        after,
+        settled,
+    )
+
+
+class Whitening:
+    """Makes the noise in the residuals of one block white and of unit variance."""
+
+    def __init__(self, fit: Fit, channels: Sequence[Array]) -> None:
+        """Take the autoregressions of `fit`, and what they leave of the colour of `channels`."""
+        self._fit = fit
+        self._powers: list[Array | None] = [None] * len(channels)
+        self._powers = [
+            spectrum(white) if len(taps) > 1 else None
+            for white, taps in zip(self._each(channels), fit.filters, strict=True)
+        ]
+
+    def __call__(self, channels: Sequence[Array]) -> Array:
+        """Return the channels, each whitened, one after another."""
+        return np.concatenate(self._each(channels))
+
+    def _each(self, channels: Sequence[Array]) -> list[Array]:
+        found = []
+        for channel, taps, deviation, power in zip(
+            channels, self._fit.filters, self._fit.deviations, self._powers, strict=True
+        ):
+            white = lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
+            found.append(white if power is None else flattened(white, power))
+        return found
+
+
+class _Fitting:
+    """The least-squares problem of some parameters, with noise of the colour that a hypothesis has."""
+
+    def __init__(
+        self, problem: Problem, parameters: Sequence[NamedParameter], now: Hypothesis
+    ) -> None:
+        self.problem = problem
+        self.parameters = tuple(parameters)
+        self.half_ranges = np.array([parameter.half_range for parameter in parameters])
+        self._touched = [
+            problem.touched(parameter.cause(0.0).effect, MODEL) for parameter in parameters
+        ]
+        seen = {block for blocks in self._touched for block in blocks}
+        self.blocks = tuple(block for block in problem.blocks if block in seen)
+        if not self.blocks:
+            names = ', '.join(parameter.path for parameter in parameters)
+            raise UserError(f'these logs have no signal that could show {names}')
+        self._whitening = {
+            block: Whitening(now.fits[block], now.residuals[block]) for block in self.blocks
+        }
+        self._lengths = {
+            block: len(self._whitening[block](now.residuals[block])) for block in self.blocks
+        }
+
+    def residual(self, scaled: Array, blocks: Sequence[str]) -> Array:
+        """Return the white residuals of some blocks, stacked; raises `UserError`."""
+        variant = apply_all(self.problem.nominal, _causes(self.parameters, scaled))
+        return np.concatenate(
+            [self._whitening[block](self.problem.residuals(variant, block)) for block in blocks]
+        )
+
+    def jacobian(self, scaled: Array, step: float) -> Array:
+        """Return the derivatives of the white residuals by central differences, (N, k)."""
+        columns = [
+            self._derivative(scaled, place, max(step, parameter.resolution))
+            for place, parameter in enumerate(self.parameters)
+        ]
+        return np.column_stack(columns)
+
+    def _derivative(self, scaled: Array, place: int, step: float) -> Array:
+        ends = []
+        for side in (step, -step):
+            end = scaled.copy()
+            end[place] = held(self.parameters[place], scaled[place] + side)
+            ends.append(end)
+        ahead, back = ends
+        parts = []
+        for block in self.blocks:
+            if block in self._touched[place]:
+                change = self.residual(ahead, [block]) - self.residual(back, [block])
+                parts.append(change / (ahead[place] - back[place]))
+            else:
+                parts.append(np.zeros(self._lengths[block]))
+        return np.concatenate(parts)
+
+    def least_squares(self, scaled: Array) -> tuple[Array, Array]:
+        """Return the best scaled values, and their standard errors."""
+
+        def residual(tried: Array) -> Array:
+            try:
+                own = self.residual(tried, self.blocks)
+            except UserError:
+                own = np.full(sum(self._lengths.values()), IMPOSSIBLE)
+            return np.concatenate([own, tried / self.half_ranges])
+
+        def jacobian(tried: Array) -> Array:
+            return np.vstack([self.jacobian(tried, STEP), np.diag(1.0 / self.half_ranges)])
+
+        low, high = np.array([parameter.scaled_range for parameter in self.parameters]).T
+        result = least_squares(
+            residual,
+            np.clip(scaled, low + STEP, high - STEP),
+            jacobian,
+            (low, high),
+            x_scale=self.half_ranges,
+            max_nfev=EVALUATIONS,
+            xtol=1e-6,
+        )
+        found = [held(*pair) for pair in zip(self.parameters, result.x, strict=True)]
+        covariance = np.linalg.inv(result.jac.T @ result.jac)
+        return np.array(found), np.sqrt(np.diag(covariance))
+
+    def conditioning(self, scaled: Array) -> Conditioning:
+        """Return what the logs say about the parameters where they are."""
+        fine, coarse = (self.jacobian(scaled, step) for step in (STEP, 2.0 * STEP))
+        # The error of a central difference grows with the square of its step.
+        return conditioning(fine, (coarse - fine) / 3.0, list(self.half_ranges))
+
+
+def held(parameter: NamedParameter, scaled: float) -> float:
+    """Return the scaled value that the model can hold: within the range, whole where it must be."""
+    return parameter.scaled(parameter.value(scaled))
+
+
+def _causes(parameters: Sequence[NamedParameter], scaled: Array) -> tuple[Cause, ...]:
+    return tuple(
+        parameter.cause(float(value)) for parameter, value in zip(parameters, scaled, strict=True)
+    )
