@@ -26,7 +26,8 @@ from waferbot_plant.plant import config_folder, load_machine
 
 UNITS = {
     'counts_per_m': 'counts/m', 'counts_per_revolution': 'counts/turn',
-    'n_s_m': 'N s/m', 'nm_s_rad': 'Nm s/rad', 'n_m': 'N/m', 'nm_rad': 'Nm/rad', 'v_s_m': 'V s/m', 'v_s_rad': 'V s/rad',
+    'n_s_m': 'N s/m', 'nm_s_rad': 'Nm s/rad', 'n_m': 'N/m', 'nm_rad': 'Nm/rad',
+    'v_s_m': 'V s/m', 'v_s_rad': 'V s/rad',
     'nm_per_arcmin': 'Nm/arcmin', 'n_per_m': 'N/m', 'rad_per_s': 'rad/s', 'per_block_n': 'N',
     'kg_m2': 'kg m²', 'm_s2': 'm/s²', 'k_w': 'K/W', 'j_k': 'J/K', '1_k': '1/K', 'degc': '°C',
     'm_s': 'm/s', 'rad_s': 'rad/s', 'hz': 'Hz', 'a': 'A', 's': 's', 'counts': 'counts',

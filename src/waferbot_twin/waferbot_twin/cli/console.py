@@ -37,14 +37,15 @@ result_console = _result_console()
 
 def print_json(result: Any) -> None:
     """Print a result as JSON; numbers that are not finite become null."""
-    print(json.dumps(_finite(result), indent=2, sort_keys=True))
+    print(json.dumps(finite(result), indent=2, sort_keys=True))
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """Return plain values as JSON has them: numbers that are not finite become None."""
     if isinstance(value, dict):
-        return {str(key): _finite(item) for key, item in value.items()}
+        return {str(key): finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, float) and not abs(value) < float('inf'):
         return None
     return value

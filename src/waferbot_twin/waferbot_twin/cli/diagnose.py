@@ -41,9 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
     from waferbot_twin.diagnosis.diagnose import diagnose, load_records
-    from waferbot_twin.diagnosis.report import as_dict, prepare_folder, sentence, write
+    from waferbot_twin.diagnosis.report import as_dict, sentence, write
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
+    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
 
     for name in options.without:

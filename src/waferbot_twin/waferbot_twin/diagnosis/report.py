@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-import base64
 import html
-import io
 import math
 from pathlib import Path
 from typing import Any
@@ -15,29 +13,18 @@ import matplotlib
 matplotlib.use('Agg')
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.figure import Figure
 
-from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import significant
+from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-from waferbot_twin.diagnosis.gain import AxisGain
+from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.plot import TITLES, scaled_unit
+from waferbot_twin.html_page import html_page, picture
+from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 
 SCHEMA = 1
-BEFORE, AFTER, MEASURED = '#c46a1b', '#1f5fa8', '#222222'
 NORMAL_95 = 1.96
-
-STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
-p.verdict { font-size: 1.15rem; background: #eef3fa; padding: .8rem 1rem; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-th, td { padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; }
-th:first-child, td:first-child { text-align: left; } img { max-width: 100%; }
-"""
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -93,10 +80,7 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'where': diagnosis.where,
         'gain': {
             'validation': diagnosis.judging,
-            'axes': {
-                axis: _gain([item for item in diagnosis.gains if item.axis == axis])
-                for axis in dict.fromkeys(item.axis for item in diagnosis.gains)
-            },
+            'axes': gain_of_axes(diagnosis.gains),
         },
         'logs': {'finding': diagnosis.finding, 'judging': diagnosis.judging},
         'notes': diagnosis.notes,
@@ -140,60 +124,13 @@ def _unexplained(diagnosis: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _gain(items: list[AxisGain]) -> dict[str, Any]:
-    """Return the gain of one axis over all judging logs."""
-    before = math.sqrt(float(np.mean([item.rms_before**2 for item in items])))
-    after = math.sqrt(float(np.mean([item.rms_after**2 for item in items])))
-    improvement = 100.0 * (before - after) / before if before > 0.0 else 0.0
-    return {
-        'unit': items[0].unit,
-        'rms_before': before,
-        'rms_after': after,
-        'improvement_percent': improvement,
-        'metrics': {
-            item.log: {
-                'rms_before': item.rms_before,
-                'rms_after': item.rms_after,
-                'improvement_percent': item.improvement_percent,
-            }
-            for item in items
-        },
-    }
-
-
-def prepare_folder(folder: Path, force: bool) -> None:
-    """
-    Make the folder of a report; raises `UserError` if it exists, unless `force` and it holds one.
-
-    Done before the diagnosis, so that nobody waits for a result that cannot be written.
-    """
-    if folder.exists() and not force:
-        raise UserError(f'--out {folder} exists; choose another folder or give --force')
-    if folder.exists() and not (folder / 'report.json').exists() and any(folder.iterdir()):
-        raise UserError(f'--out {folder} holds no report; --force only replaces reports')
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f'--out {folder} cannot be made: {error.strerror}') from error
-
-
 def write(diagnosis: Diagnosis, folder: Path) -> None:
     """Write `report.json`, `report.html` and `extended.yaml` into an existing folder."""
-    (folder / 'report.json').write_text(as_json(_finite(as_dict(diagnosis))) + '\n', 'utf-8')
+    (folder / 'report.json').write_text(as_json(finite(as_dict(diagnosis))) + '\n', 'utf-8')
     names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
     (folder / 'extended.yaml').write_text(header + diagnosis.extended.model().text, 'utf-8')
     (folder / 'report.html').write_text(page(diagnosis), 'utf-8')
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_finite(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def page(diagnosis: Diagnosis) -> str:
@@ -203,10 +140,10 @@ def page(diagnosis: Diagnosis) -> str:
         f'<p class="verdict">{html.escape(sentence(diagnosis))}</p>',
         *(f'<p>{html.escape(note)}.</p>' for note in diagnosis.notes),
         '<h2>Error before and after, in logs that were not used for the fit</h2>',
-        _picture(_draw_gains(diagnosis)),
-        _gain_table(diagnosis),
+        picture(draw_gains(diagnosis.gains)),
+        gain_table(diagnosis.gains),
         '<h2>Where: what each block alone leaves over</h2>',
-        _picture(_draw_residuals(diagnosis)),
+        picture(_draw_residuals(diagnosis)),
         '<h2>Causes</h2>',
         _cause_table(diagnosis),
         '<h2>Logs</h2>',
@@ -214,46 +151,7 @@ def page(diagnosis: Diagnosis) -> str:
         f'{html.escape(", ".join(diagnosis.judging))}. {diagnosis.search.tried} effects were tried '
         f'in {diagnosis.runtime_s:.0f} s.</p>',
     ]
-    return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>Diagnosis</title>'
-        f'<style>{STYLE}</style></head><body>{"".join(body)}</body></html>\n'
-    )
-
-
-def _picture(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=100, metadata={'Software': 'waferbot'})
-    plt.close(figure)
-    data = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img alt="" src="data:image/png;base64,{data}">'
-
-
-def _draw_gains(diagnosis: Diagnosis) -> Figure:
-    """Draw measured position, and errors of both models, for every axis of the first judging log."""
-    log = diagnosis.gains[0].log if diagnosis.gains else ''
-    items = [item for item in diagnosis.gains if item.log == log]
-    figure, panels = plt.subplots(
-        2, max(1, len(items)), figsize=(12.0, 5.4), squeeze=False, layout='constrained',
-        sharex='col',
-    )  # fmt: skip
-    for column, item in enumerate(items):
-        factor, unit = scaled_unit(item.measured - item.measured[0], item.unit)
-        panels[0][column].plot(item.time_s, item.measured * factor, color=MEASURED, lw=1.0)
-        panels[0][column].set_title(TITLES[item.axis])
-        panels[0][column].set_ylabel(f'measured [{unit}]')
-        factor, unit = scaled_unit(item.error_before, item.unit)
-        for error, colour, label in (
-            (item.error_before, BEFORE, f'nominal, RMS {item.rms_before * factor:.3g} {unit}'),
-            (item.error_after, AFTER, f'extended, RMS {item.rms_after * factor:.3g} {unit}'),
-        ):
-            panels[1][column].plot(item.time_s, error * factor, color=colour, lw=0.8, label=label)
-        panels[1][column].set_ylabel(f'simulated - measured [{unit}]')
-        panels[1][column].set_xlabel('time [s]')
-        panels[1][column].legend(fontsize=8, loc='best')
-        for row in range(2):
-            panels[row][column].grid(alpha=0.3)
-    figure.suptitle(log, fontsize=10)
-    return figure
+    return html_page('Diagnosis', body)
 
 
 def _draw_residuals(diagnosis: Diagnosis) -> Figure:
@@ -281,19 +179,6 @@ def _draw_residual(
         panel.plot(hypothesis.residuals[block][place], color=colour, lw=0.7, label=label)
     panel.set_ylabel(f'[{unit}]')
     panel.grid(alpha=0.3)
-
-
-def _gain_table(diagnosis: Diagnosis) -> str:
-    rows = ''.join(
-        f'<tr><td>{html.escape(item.log)}, {TITLES[item.axis]}</td>'
-        f'<td>{item.rms_before:.4g} {item.unit}</td><td>{item.rms_after:.4g} {item.unit}</td>'
-        f'<td>{item.improvement_percent:.1f} %</td></tr>'
-        for item in diagnosis.gains
-    )
-    return (
-        '<table><tr><th>log, axis</th><th>RMS error, nominal</th><th>RMS error, extended</th>'
-        f'<th>improvement (6.1)</th></tr>{rows}</table>'
-    )
 
 
 def _cause_table(diagnosis: Diagnosis) -> str:

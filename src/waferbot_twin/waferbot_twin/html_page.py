@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports as one HTML page, with their pictures inside, in a folder of their own."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use('Agg')
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from waferbot_lockstep.errors import UserError
+
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }
+p.verdict { font-size: 1.15rem; background: #eef3fa; padding: .8rem 1rem; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; }
+th:first-child, td:first-child { text-align: left; } img { max-width: 100%; }
+"""
+
+
+def html_page(title: str, body: Iterable[str]) -> str:
+    """Return a page of these pieces of HTML."""
+    return (
+        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        f'<title>{html.escape(title)}</title><style>{STYLE}</style></head>'
+        f'<body>{"".join(body)}</body></html>\n'
+    )
+
+
+def picture(figure: Figure) -> str:
+    """Return a figure as an image inside the page, and close it."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=100, metadata={'Software': 'waferbot'})
+    plt.close(figure)
+    data = base64.b64encode(buffer.getvalue()).decode()
+    return f'<img alt="" src="data:image/png;base64,{data}">'
+
+
+def prepare_folder(folder: Path, force: bool) -> None:
+    """
+    Make the folder of a report; raises `UserError` if it exists, unless `force` and it holds one.
+
+    Done before the diagnosis, so that nobody waits for a result that cannot be written.
+    """
+    if folder.exists() and not force:
+        raise UserError(f'--out {folder} exists; choose another folder or give --force')
+    if folder.exists() and not (folder / 'report.json').exists() and any(folder.iterdir()):
+        raise UserError(f'--out {folder} holds no report; --force only replaces reports')
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f'--out {folder} cannot be made: {error.strerror}') from error
