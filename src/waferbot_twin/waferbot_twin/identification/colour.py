@@ -3,11 +3,11 @@
 What an autoregression leaves of the colour of noise, taken out by its spectrum.
 
 An autoregression of order p at a sampling rate f_s tells frequencies apart that are f_s / p from one
-another. Slow forces, below some Hz, it does not see: they raise the spectrum of its residual at the lowest
-frequencies by a factor of ten and more without changing its autocorrelation by a hundredth. Parameters
-that show there, such as a force constant by the weight that it holds, then seem better known than they
-are. So the residual's periodogram is averaged over bands that grow with frequency, and what is compared
-is divided by its square root, frequency by frequency.
+another. Slow forces, below some Hz, it does not see: they raise the spectrum of its residual at the
+lowest frequencies by a factor of ten and more and hardly change its autocorrelation. Parameters that
+show there, such as a force constant by the weight that it holds, then seem better known than they are.
+So the residual's periodogram is averaged over bands that grow with frequency, and what is compared is
+divided by its square root, frequency by frequency.
 
 Source: P. Stoica and R. Moses, Spectral Analysis of Signals, 2005, section 2.7 (averaged periodogram).
 """

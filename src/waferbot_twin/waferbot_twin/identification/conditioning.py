@@ -8,9 +8,9 @@ of parameters in the order in which the signals tell them: the standard error of
 One with s = 0 can be moved without any change of the signals.
 
 S comes from difference quotients and has an error, E. By Weyl's inequality no singular value is
-further than |E| from the true one; one that is smaller than |E| says nothing. Therefore |E|^2 is taken off
-s^2, with the columns of both scaled by D to unit length first, and each parameter is given the little
-that is known beforehand, that it lies in its range:
+further than |E| from the true one; one that is smaller than |E| says nothing. Therefore |E|^2 is taken
+off s^2, with the columns of both scaled by D to unit length first, and each parameter is given the
+little that is known beforehand, that it lies in its range:
 
     covariance = (D V diag(max(s^2 - |E|^2, 0)) V^T D + diag(1 / half range)^2)^-1 .
 
@@ -61,9 +61,9 @@ class Conditioning:
     """
     How well the signals determine the parameters.
 
-    `singular_values` (k,) of S, the largest first, and the `condition_number`, infinite if the smallest is
-    within its error; the `covariance` (k, k) of the scaled parameters; `no_influence`, places of parameters
-    that the signals do not show; `combinations`, what cannot be told apart.
+    `singular_values` (k,) of S, the largest first, and the `condition_number`, infinite if the
+    smallest is within its error; the `covariance` (k, k) of the scaled parameters; `no_influence`,
+    places of parameters that the signals do not show; `combinations`, what cannot be told apart.
     """
 
     singular_values: Array
@@ -157,16 +157,14 @@ def _combinations(information: Array, names: Sequence[int]) -> tuple[Combination
         members = np.flatnonzero(np.abs(share) > TAKES_PART)
         found.append(
             Combination(
-                tuple(names[place] for place in members),
+                tuple(names[int(place)] for place in members),
                 tuple(float(share[place]) for place in members),
             )
         )
     return tuple(sorted(found, key=lambda item: item.members))
 
 
-def in_words(
-    combination: Combination, names: Sequence[str], logarithmic: Sequence[bool]
-) -> str:
+def in_words(combination: Combination, names: Sequence[str], logarithmic: Sequence[bool]) -> str:
     """Return what is known of a combination, and what is not, as a sentence without its full stop."""
     members, move = combination.members, combination.move
     if len(members) == 1:

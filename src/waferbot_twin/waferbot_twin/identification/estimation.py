@@ -2,10 +2,11 @@
 """
 Named parameters, fitted through the simulation of the blocks.
 
-The residuals of the blocks (`diagnosis.problem`) are whitened by the autoregressions of what is left, and
-the sum of their squares is made as small as can be; then the autoregressions are found anew, and so on.
-Added to it is a square for how far each parameter is from the model's value, in half ranges. It is as
-nothing beside what signals say, and where they say nothing, parameters stay where the model has them.
+The residuals of the blocks (`diagnosis.problem`) are made white as what is left of them tells (an
+autoregression, then `colour`), and the sum of their squares is made as small as can be; then the colour
+is found anew, and so on. Added to it is a square for how far each parameter is from the model's value,
+in half ranges. It is as nothing beside what signals say, and where they say nothing, parameters stay
+where the model has them.
 
 The covariance is that of the linear problem at the end (`conditioning`).
 """

@@ -266,11 +266,14 @@ def _number_at(path: str, key: Key, variant: Variant) -> float:
         node = node[part]
     node = places.plain(variant, node)
     if isinstance(node, bool) or not isinstance(node, int | float):
-        inside = ', '.join(f'{path}[{place}]' for place in range(len(node))) if (
-            isinstance(node, list)
-        ) else ', '.join(f'{path}.{name}' for name in node) if isinstance(node, Mapping) else ''  # fmt: skip
-        hint = f'; one of {inside}?' if inside else ''
-        raise UserError(f'{path} is not a number{hint}')
+        inside: list[str] = []
+        if isinstance(node, list):
+            inside = [f'{path}[{place}]' for place in range(len(node))]
+        elif isinstance(node, Mapping):
+            inside = [f'{path}.{name}' for name in node]
+        raise UserError(
+            f'{path} is not a number' + (f'; one of {", ".join(inside)}?' if inside else '')
+        )
     return float(node)
 
 

@@ -11,8 +11,8 @@ which is chi-squared with m less the number of fitted coefficients degrees of fr
 the residual with *earlier* white input has the same variance; with later input there is some wherever
 there is a feedback, and it says nothing.
 
-Sources: G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297; L. Ljung, System Identification, 2nd ed.,
-section 16.6.
+Sources: G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297; L. Ljung, System Identification,
+2nd ed., section 16.6.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def whiteness(white: Array, fitted: int, white_input: Array | None = None) -> Wh
     """
     Judge a whitened residual (N,), N > `LAGS`.
 
-    `fitted` is how many coefficients the whitening took, `white_input` (N,) the input, whitened by a filter
-    of its own.
+    `fitted` is how many coefficients the whitening took, `white_input` (N,) the input, whitened by a
+    filter of its own.
     """
     own = _correlations(white, white)
     count = len(white)
@@ -75,7 +75,7 @@ def whiteness(white: Array, fitted: int, white_input: Array | None = None) -> Wh
 
 
 def _correlations(later: Array, earlier: Array) -> Array:
-    """Return the correlation of `later` with what `earlier` was 0 to `LAGS` samples before, (LAGS + 1,)."""
+    """Return the correlation of `later` with `earlier` 0 to `LAGS` samples before, (LAGS + 1,)."""
     one, other = later - later.mean(), earlier - earlier.mean()
     scale = math.sqrt(float(one @ one) * float(other @ other))
     if scale == 0.0:
