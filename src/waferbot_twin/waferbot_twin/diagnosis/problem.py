@@ -24,6 +24,7 @@ PLANT, CONTROLLER, DRIVE = 'plant', 'controller', 'drive'
 class BlockOfLog(Protocol):
     """One block with the signals of one log."""
 
+    record: Record
     floors: list[float]
     order: int
     channels: list[str]

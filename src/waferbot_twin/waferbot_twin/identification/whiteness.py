@@ -8,8 +8,8 @@ Box made one number,
     Q = N (N + 2) sum_k r_k^2 / (N - k),
 
 which is chi-squared with m less the number of fitted coefficients degrees of freedom. The correlation of
-the residual with *earlier* white input has the same variance; with later input there is some wherever
-there is a feedback, and it says nothing.
+the residual with *earlier* white input has the same variance. In a loop the input must be one that does
+not come back from the residual: the commanded position, not the current.
 
 Sources: G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297; L. Ljung, System Identification,
 2nd ed., section 16.6.

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+An identification from beginning to end: logs and names in, values, doubts and gain out.
+
+The gain is measured in logs with another motion if there are any, else in those of the fit, and then
+it says little.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import lfilter
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.gain import AxisGain, gains
+from waferbot_twin.diagnosis.problem import BlockOfLog, Problem
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.whitening import autoregression
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification.estimation import Estimate, Progress, estimate
+from waferbot_twin.identification.named_parameters import NamedParameter
+from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
+
+AXIS_OF = dict(zip(ENCODERS, (*AXES, AXES[-1]), strict=True))
+"""The axis that an encoder tells of."""
+
+AT_BOUND = 0.01
+"""Distance from its bound, in half ranges, at which a parameter is said to be there."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What is left over in one channel of a block: RMS before and after, and if it is white."""
+
+    block: str
+    log: str
+    name: str
+    unit: str
+    rms_before: float
+    rms_after: float
+    whiteness: Whiteness | None
+
+
+@dataclass(frozen=True)
+class Identification:
+    """The result of an identification; `independent` tells whether other logs judged it."""
+
+    nominal: Variant
+    identified: Variant
+    estimate: Estimate
+    channels: tuple[Channel, ...]
+    gains: list[AxisGain]
+    fitted: tuple[str, ...]
+    judging: tuple[str, ...]
+    independent: bool
+    runtime_s: float
+    notes: list[str] = field(default_factory=list)
+
+
+def identify(
+    nominal: Variant,
+    records: Sequence[Record],
+    judging: Sequence[Record],
+    parameters: Sequence[NamedParameter],
+    progress: Progress,
+) -> Identification:
+    """
+    Identify parameters of a model from logs.
+
+    Raises `UserError` if the logs show none of them or the model cannot be simulated.
+    """
+    begun_s = time.perf_counter()
+    problem = Problem(nominal, records)
+    found = estimate(problem, parameters, progress)
+    identified = found.variant(nominal)
+    notes = _notes(found)
+    judges = list(judging or records)
+    try:
+        measured = gains(nominal, identified, judges)
+    except UserError as error:
+        measured = []
+        notes.append(f'the gain could not be measured: {error}')
+    if not judging:
+        notes.append('no other logs (--validate): the gain is that in the logs of the fit')
+    return Identification(
+        nominal,
+        identified,
+        found,
+        tuple(_channels(problem, found)),
+        measured,
+        tuple(record.name for record in records),
+        tuple(record.name for record in judges),
+        bool(judging),
+        time.perf_counter() - begun_s,
+        notes,
+    )
+
+
+def _notes(found: Estimate) -> list[str]:
+    """Return what the reader of the values must know."""
+    notes = []
+    if not found.settled:
+        notes.append('the fit has not settled: begin closer, or with fewer parameters')
+    for parameter, scaled, left_open in zip(
+        found.parameters, found.scaled, found.conditioning.open, strict=True
+    ):
+        low, high = parameter.scaled_range
+        if not left_open and min(scaled - low, high - scaled) < AT_BOUND * parameter.half_range:
+            notes.append(
+                f'{parameter.path} ended at the end of its range ({parameter.low:.4g} to '
+                f'{parameter.high:.4g} {parameter.unit}): give a wider one, or doubt the model'
+            )
+    return notes
+
+
+def _channels(problem: Problem, found: Estimate) -> list[Channel]:
+    """Return what is left over in every channel of the blocks in which parameters show."""
+    result = []
+    for block in found.blocks:
+        place = 0
+        for part in problem.blocks[block]:
+            for name in part.channels:
+                before, after = (
+                    hypothesis.residuals[block][place]
+                    for hypothesis in (found.before, found.after)
+                )
+                taps = found.after.fits[block].filters[place]
+                result.append(
+                    Channel(
+                        block,
+                        part.record.name,
+                        name,
+                        'counts' if block == 'plant' else 'A',
+                        float(np.sqrt(np.mean(before**2))),
+                        float(np.sqrt(np.mean(after**2))),
+                        _whiteness(part, name, after, taps),
+                    )
+                )
+                place += 1
+    return result
+
+
+def _whiteness(part: BlockOfLog, name: str, residual: Array, taps: Array) -> Whiteness | None:
+    """Return how white a channel is; None where it is rounding that is left over, or it is short."""
+    order = len(taps) - 1
+    white = lfilter(taps, 1.0, residual)[order:]
+    if order == 0 or len(white) <= 2 * LAGS:
+        return None
+    commanded = part.record.commanded
+    if commanded is None or name not in ENCODERS:
+        return whiteness(white, order)
+    # Residuals are one for every servo cycle, but for those left out at the beginning.
+    tail = commanded[len(commanded) - len(residual) :, AXES.index(AXIS_OF[name])]
+    if not np.ptp(tail) > 0.0:
+        return whiteness(white, order)
+    return whiteness(white, order, lfilter(autoregression(tail, order), 1.0, tail)[order:])
