@@ -283,7 +283,7 @@ def test_standard_errors_with_white_noise_are_analytic():
 def log(variant, experiment, seed, duration_s):
     shaking = noise(variant.base, 1.0, seed, np.random.default_rng(seed))
     timing = Timing()
-    twin = Twin(variant.with_overlay(shaking).model(), timing, load_experiment(experiment))
+    twin = Twin.of(variant.with_overlay(shaking).model(), timing, load_experiment(experiment))
     record = record_of_signals(experiment, twin.advance(timing.ticks(duration_s)))
     # The mechanism alone: with voltages the back-EMF would tell the force constant.
     return dataclasses.replace(record, terminals=None)

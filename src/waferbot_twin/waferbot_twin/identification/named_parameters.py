@@ -27,6 +27,7 @@ from waferbot_copley.settings import settings_of as amplifier_settings
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Key
+from waferbot_lockstep.parameters import Parameter as Setting
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant.parameters_page import unit_of
 from waferbot_pmac.i_variables import axis_parameters as controller_settings
@@ -39,7 +40,10 @@ from waferbot_twin.effects.variant import Overlay, Variant
 USUAL_RANGE = 10.0
 """Where no range is given, a value may become this many times larger or smaller."""
 
-SETTINGS = {'pmac': controller_settings, 'copley': amplifier_settings}
+SETTINGS: dict[str, Callable[[str], tuple[Setting, ...]]] = {
+    'pmac': controller_settings,
+    'copley': amplifier_settings,
+}
 """The first word of a path that leads to a setting, and what declares it."""
 
 STIFFNESSES = ('stiffness_n_m', 'stiffness_nm_rad')
