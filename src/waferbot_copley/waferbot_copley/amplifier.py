@@ -58,6 +58,7 @@ __all__ = [
     'AMPLIFIER_PARAMETERS',
     'AMPLIFIER_STATE',
     'changed',
+    'follow_voltage',
     'initial_state',
     'open_bridges',
     'report',
@@ -305,6 +306,37 @@ def _start(s, p, axis, current_1, current_2, sine, cosine):
     s['pending_voltage'][axis, 0] = voltage_1
     s['pending_voltage'][axis, 1] = voltage_2
     s['pending_voltage'][axis, 2] = -(voltage_1 + voltage_2)
+
+
+@compiled
+def follow_voltage(state, parameters, counts, error, share):
+    """
+    Take a share of a voltage that is missing into the integrators: the drive as an observer of another.
+
+    error  float64 (9,): terminals of the other drive less those of this one in the last `step`, V; what
+           is common to the three of a motor is left out
+    counts as in `step`
+
+    An integrator never forgets what it began with, nor a small error of its input. Here it does so in
+    about 1 / `share` ticks, so that a drive that was met in the middle of its work can be followed.
+    """
+    s = state[0]
+    p = parameters[0]
+    for axis in range(3):
+        if s['starting'][axis]:
+            continue
+        common = (error[3 * axis] + error[3 * axis + 1] + error[3 * axis + 2]) / 3.0
+        first, second = error[3 * axis] - common, error[3 * axis + 1] - common
+        if p['mode'][axis] == FIELD_ORIENTED:
+            turn = electrical_turn(
+                counts[p['commutation_encoder'][axis]],
+                p['counts_per_electrical_cycle'][axis],
+                p['commutation_offset_turn'][axis],
+            )
+            first, second = to_rotor_frame(first, second, *sine_and_cosine(turn))
+        scale = share / (p['bus_compensation'][axis] * p['bus_gain'][axis])
+        s['integrator'][axis, 0] += scale * first
+        s['integrator'][axis, 1] += scale * second
 
 
 @compiled

@@ -178,6 +178,20 @@ def imperfection_data(motor: Motor) -> dict[str, Any]:
     }
 
 
+def motor_data(motor: Motor) -> dict[str, Any]:
+    """Return all parameters of a motor by their names, but for the coordinate that it drives."""
+    winding, resistance, inductance, back_emf = winding_data(motor)
+    return {
+        'winding': winding,
+        'resistance': resistance,
+        'inductance': inductance,
+        'back_emf': back_emf,
+        'electrical_gain': motor.electrical_gain,
+        **heating_data(motor),
+        **imperfection_data(motor),
+    }
+
+
 def current_of_force(
     parameters: np.ndarray, motor: int, electrical_angle: float, force: float
 ) -> float:

@@ -286,24 +286,16 @@ class Machine:
                 motor = description.motors[axis]
                 row, ratio = self._placing(motor.coordinate)
                 p['motor_coordinate'][place], p['motor_ratio'][place] = row, ratio
-                p['electrical_gain'][place] = motor.electrical_gain
-                (
-                    p['winding'][place],
-                    p['resistance'][place],
-                    p['inductance'][place],
-                    p['back_emf'][place],
-                ) = motors.winding_data(motor)
-                _fill_place(p, place, motors.heating_data(motor))
-                _fill_place(p, place, motors.imperfection_data(motor))
+                fill_place(p, place, motors.motor_data(motor))
             if axis in description.current_sensors:
                 sensors = description.current_sensors[axis]
-                _fill_place(p, place, current_sensors.sensor_data(sensors))
+                fill_place(p, place, current_sensors.sensor_data(sensors))
         for place, place_name in enumerate(ENCODERS):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
                 row, ratio = self._placing(encoder.coordinate)
                 p['encoder_coordinate'][place] = row
-                _fill_place(
+                fill_place(
                     p, place, encoders.encoder_data(encoder, ratio, description.encoder_delay)
                 )
         p['encoder_divider'] = self.timing.encoder_divider
@@ -437,7 +429,7 @@ def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None
     encoders.fill_readings(state[0], parameters[0])
 
 
-def _fill_place(p: np.void, place: int, values: Mapping[str, Any]) -> None:
+def fill_place(p: np.void, place: int, values: Mapping[str, Any]) -> None:
     """Write the parameters of one axis or encoder, by name, into its place."""
     for name, value in values.items():
         p[name][place] = value

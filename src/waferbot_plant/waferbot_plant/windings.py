@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The windings of the motors alone, moved as somebody measured.
+
+What the windings do follows from the voltages at their terminals and from the motion of the motor,
+whatever it is that moves it: no mechanism is needed. The equations are those of `motors`, the step is
+that of the plant; a winding forgets what it began with in its time constant L/R, some milliseconds.
+
+    parameters = winding_parameters(description)
+    state = initial_state(parameters, line_current)
+    advance(state, parameters, before, after, voltage, step_s, substeps)
+    show(state, parameters, line_current)
+
+`motor_positions` finds the motion behind the counts of the motors' encoders. The coordinate of a motor
+is its place among the axes here, so parameters and state look alike for all machines.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_plant import current_sensors, encoders, motors
+from waferbot_plant.description import Description
+from waferbot_plant.plant import fill_place
+
+WINDING_PARAMETERS = np.dtype(
+    [
+        *motors.PARAMETER_FIELDS,
+        *encoders.PARAMETER_FIELDS,
+        *current_sensors.PARAMETER_FIELDS,
+    ],
+    align=True,
+)
+WINDING_STATE = np.dtype(
+    [
+        *motors.STATE_FIELDS,
+        *encoders.STATE_FIELDS,
+        ('position', 'f8', (motors.MOTORS,)),
+        ('middle_position', 'f8', (motors.MOTORS,)),
+        ('middle_velocity', 'f8', (motors.MOTORS,)),
+    ],
+    align=True,
+)
+
+
+def motor_encoder(description: Description, axis: str) -> int | None:
+    """Return the place of the encoder that sits on an axis' motor, None if there is none."""
+    if axis not in description.motors:
+        return None
+    wanted = description.motors[axis].coordinate
+    return next(
+        (
+            place
+            for place, name in enumerate(ENCODERS)
+            if name in description.encoders and description.encoders[name].coordinate == wanted
+        ),
+        None,
+    )
+
+
+def winding_parameters(description: Description) -> np.ndarray:
+    """
+    Return the parameters (`WINDING_PARAMETERS`, shape (1,)) of windings, their sensors and encoders.
+
+    Without noise: what is computed here is what a measurement is compared with.
+    """
+    parameters = np.zeros(1, WINDING_PARAMETERS)
+    p = parameters[0]
+    p['motor_coordinate'] = range(motors.MOTORS)
+    p['motor_ratio'] = 1.0
+    for place, axis in enumerate(AXES):
+        if axis in description.motors:
+            fill_place(p, place, motors.motor_data(description.motors[axis]))
+        if axis in description.current_sensors:
+            sensors = description.current_sensors[axis]
+            fill_place(p, place, current_sensors.sensor_data(sensors))
+        encoder = motor_encoder(description, axis)
+        if encoder is not None:
+            p['encoder_coordinate'][encoder] = place
+            own = description.encoders[ENCODERS[encoder]]
+            fill_place(p, encoder, encoders.encoder_data(own, 1.0, description.encoder_delay))
+    p['current_noise'] = 0.0
+    p['encoder_noise'] = 0.0
+    return parameters
+
+
+def initial_state(parameters: np.ndarray, line_current: np.ndarray) -> np.ndarray:
+    """Return the state (`WINDING_STATE`, shape (1,)) with line currents (6,) as measured, A."""
+    state = np.zeros(1, WINDING_STATE)
+    state['winding_temperature'] = parameters['start_temperature']
+    for motor in range(motors.MOTORS):
+        first, second = (
+            current_sensors.true_current(
+                parameters[0], motor, line, line_current[current_sensors.LINES * motor + line]
+            )
+            for line in range(current_sensors.LINES)
+        )
+        motors.set_line_currents(state, parameters, motor, (first, second))
+    return state
+
+
+def motor_positions(parameters: np.ndarray, counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """
+    Return the position (rows, 3) of each motor, m or rad, whose encoders see `counts` (rows, 4).
+
+    Scale, cyclic errors and lost counts of the model's encoders are taken out; delays are not, they
+    are the caller's. Zero for a motor without an encoder.
+    """
+    exact = parameters.copy()
+    exact['delay_fraction'] = 0.0
+    position = np.zeros((len(counts), motors.MOTORS))
+    _find_positions(np.zeros(1, WINDING_STATE), exact, counts, position)
+    return position
+
+
+@compiled
+def _find_positions(state, parameters, counts, position):
+    """
+    Fill `position` (rows, 3): what every row takes to make the encoder see its count.
+
+    One correction a row, begun where the last row ended: errors change little from row to row.
+    """
+    s = state[0]
+    p = parameters[0]
+    for encoder in range(counts.shape[1]):
+        per_unit = p['counts_per_unit'][encoder]
+        if per_unit == 0.0:
+            continue
+        motor = p['encoder_coordinate'][encoder]
+        correction = 0.0
+        s['position'][motor] = counts[0, encoder] / per_unit
+        encoders.fill_readings(s, p)
+        for row in range(counts.shape[0]):
+            ideal = counts[row, encoder] / per_unit
+            s['position'][motor] = ideal + correction
+            correction += (counts[row, encoder] - encoders.seen_counts(s, p, encoder)) / per_unit
+            position[row, motor] = ideal + correction
+
+
+@compiled
+def advance(state, parameters, before, after, voltage, step_s, substeps):
+    """
+    Advance the windings by `substeps` steps of `step_s` seconds with the voltages (9,) held, V.
+
+    `before` and `after` (3,) are the positions of the motors where it begins and ends, m or rad; they
+    move evenly in between.
+    """
+    s = state[0]
+    p = parameters[0]
+    middle = s['middle_position']
+    speed = s['middle_velocity']
+    for substep in range(substeps):
+        for motor in range(motors.MOTORS):
+            way = after[motor] - before[motor]
+            middle[motor] = before[motor] + way * (substep + 0.5) / substeps
+            speed[motor] = way / (substeps * step_s)
+        motors.begin_step(s, p, middle, voltage, step_s)
+        motors.finish_step(s, p, speed, voltage, step_s)
+
+
+@compiled
+def show(state, parameters, line_current):
+    """Fill `line_current` (6,) with lines 1 and 2 of each motor as its sensors show them, A."""
+    current_sensors.measure_currents(state[0], parameters[0], 0, line_current)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Where the motors were at every tick, from the counts of their encoders.
+
+Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
+counts have, is an error k dx / L of the current. Positions are smoothed by a cubic over `SMOOTHED` rows
+(Savitzky and Golay; it neither delays nor loses what is slower than a millisecond), brought from when
+they were published to when they were read, and joined by a cubic spline.
+
+Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
+procedures, Analytical Chemistry 36(8), 1964.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
+
+from waferbot_lockstep.contract import ENCODERS
+from waferbot_plant.windings import motor_positions
+from waferbot_twin.diagnosis.record import Array, Record
+
+SMOOTHED = 15
+"""Encoder rows that a reading is smoothed over, 1.7 ms."""
+
+
+class MotorMotion:
+    """The motion of the motors in a log."""
+
+    def __init__(self, record: Record) -> None:
+        """Take the counts of encoders without a gap; the others are taken as 0."""
+        self._timing = record.timing
+        self._ticks = record.ticks
+        counts = record.reading + (0.5 if record.whole_counts else 0.0)
+        counts[:, ~np.isfinite(counts).all(axis=0)] = 0.0
+        self._counts = counts
+
+    def positions(self, parameters: np.ndarray) -> Array:
+        """
+        Return the positions (ticks + 1, 3) of the motors, m or rad, at every tick and behind the last.
+
+        As the encoders of `parameters` (`WINDING_PARAMETERS`) see them.
+        """
+        p = parameters[0]
+        read = savgol_filter(motor_positions(parameters, self._counts), SMOOTHED, 3, axis=0)
+        rows = np.arange(self._ticks + 1) / self._timing.encoder_divider
+        position = np.zeros((self._ticks + 1, read.shape[1]))
+        for encoder in range(len(ENCODERS)):
+            if p['counts_per_unit'][encoder] == 0.0:
+                continue
+            motor = p['encoder_coordinate'][encoder]
+            late = p['encoder_delay'][encoder] + p['delay_fraction'][encoder]
+            position[:, motor] = CubicSpline(np.arange(len(read)), read[:, motor])(rows + late)
+        return position
