@@ -23,7 +23,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_recording
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
 from waferbot_twin.diagnosis.nonparametric import tables
-from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
@@ -224,8 +224,8 @@ def _where(problem: Problem, found: Search) -> dict[str, dict[str, float]]:
     """Return the RMS residual of every block and channel with the nominal model."""
     return {
         block: _channel_rms(problem, found.nothing, block)
-        for block in (PLANT, CONTROLLER)
-        if problem.blocks[block]
+        for block, parts in problem.blocks.items()
+        if parts
     }
 
 

@@ -198,8 +198,7 @@ def _commanded_places(record: Record, variant: Variant) -> list[int]:
 def _moved_places(record: Record, variant: Variant) -> list[int]:
     """Return the axes whose motor has an encoder, with its counts."""
     encoders = {
-        place: windings.motor_encoder(variant.description, axis)
-        for place, axis in enumerate(AXES)
+        place: windings.motor_encoder(variant.description, axis) for place, axis in enumerate(AXES)
     }
     return [
         place
@@ -247,8 +246,8 @@ def _follow_amplifier(
     missing,
 ):
     """
-    Drive the amplifiers by commands (n / command_ticks, 3), counts (n / count_ticks, 4) and line currents
-    (n, 6); fill `missing` (n, 9), logged less computed voltages, V.
+    Drive the amplifiers by commands (n / command_ticks, 3), counts (n / count_ticks, 4) and line
+    currents (n, 6); fill `missing` (n, 9), logged less computed voltages, V.
 
     `off` (n,) has the bits of bridges that were off. The share of the missing voltage that goes into
     the integrators is `CATCHING_UP` for the first `settling` ticks, then `share`.

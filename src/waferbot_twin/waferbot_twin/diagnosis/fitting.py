@@ -9,9 +9,9 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.effects.effect import Parameter
 
 ROUNDS = 8
@@ -63,24 +63,7 @@ def _newton_step(problem: Problem, now: Hypothesis, names: Names) -> tuple[Array
     """Return the linear estimate of the change of all parameters, and its covariance."""
     own = [signature(problem, now, now.causes, place) for place in range(len(now.causes))]
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
-    residuals: list[Array] = []
-    signatures: list[Array] = []
-    floors: list[float] = []
-    orders: list[int] = []
-    for block in sorted({block for item in own for block in item}):
-        channels = now.residuals[block]
-        total = sum(len(channel) for channel in channels)
-        matrix = np.hstack(
-            [
-                item.get(block, np.zeros((total, count)))
-                for item, count in zip(own, counts, strict=True)
-            ]
-        )
-        residuals += channels
-        signatures += np.split(matrix, np.cumsum([len(channel) for channel in channels])[:-1])
-        floors += problem.floors(block)
-        orders += problem.orders(block)
-    estimate = fit(residuals, signatures, floors, orders)
+    estimate = fit_jointly(problem, now.residuals, side_by_side(own, counts))
     return estimate.value, estimate.covariance
 
 

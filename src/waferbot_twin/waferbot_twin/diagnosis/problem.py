@@ -11,14 +11,21 @@ import numpy as np
 
 from waferbot_twin.diagnosis.closed_loop_record import simulate
 from waferbot_twin.diagnosis.controller_block import ControllerBlock
+from waferbot_twin.diagnosis.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, fit
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Variant
 
-PLANT, CONTROLLER, DRIVE = 'plant', 'controller', 'drive'
-"""The blocks that can be replayed alone."""
+PLANT, CONTROLLER = 'plant', 'controller'
+AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
+
+UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURRENT_LOOP: 'A'}
+"""The blocks that can be replayed alone, and the unit of their residuals."""
+
+ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
+"""The sections of a description that the windings depend on: the motion is measured, by encoders."""
 
 
 class BlockOfLog(Protocol):
@@ -62,14 +69,30 @@ class Problem:
         """Prepare every block that the logs have the signals for."""
         self.nominal = nominal
         self.records = tuple(records)
-        self.blocks: dict[str, list[BlockOfLog]] = {PLANT: [], CONTROLLER: [], DRIVE: []}
+        self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
             if record.commanded is not None and record.command is not None:
                 self.blocks[CONTROLLER].append(ControllerBlock(record, nominal))
+            self._add_drive(record)
+
+    def _add_drive(self, record: Record) -> None:
+        """Prepare amplifier and windings, or without voltages both as one."""
+        if record.terminals is None:
+            return
+        found: dict[str, BlockOfLog] = {}
+        if record.terminals.voltage is not None:
+            found[WINDINGS] = WindingsBlock(record, self.nominal)
+        if record.command is not None and record.terminals.voltage is not None:
+            found[AMPLIFIER] = AmplifierBlock(record, self.nominal)
+        elif record.command is not None:
+            found[CURRENT_LOOP] = CurrentLoopBlock(record, self.nominal)
+        for block, part in found.items():
+            if part.channels:
+                self.blocks[block].append(part)
 
     def touched(self, effect: Effect, axis: str) -> tuple[str, ...]:
-        """Return the blocks that an effect can change."""
+        """Return the blocks that an effect can change: those that read what its overlay says."""
         overlay = effect.overlay(self.nominal, axis, effect.typical(self.nominal, axis))
         found = []
         if overlay.machine:
@@ -77,7 +100,11 @@ class Problem:
         if overlay.pmac:
             found.append(CONTROLLER)
         if overlay.copley:
-            found.append(DRIVE)
+            found.append(AMPLIFIER)
+        if ELECTRICAL & overlay.machine.keys():
+            found.append(WINDINGS)
+        if overlay.copley or ELECTRICAL & overlay.machine.keys():
+            found.append(CURRENT_LOOP)
         return tuple(block for block in found if self.blocks[block])
 
     def residuals(self, variant: Variant, block: str) -> list[Array]:

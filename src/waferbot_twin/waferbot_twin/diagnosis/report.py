@@ -19,6 +19,7 @@ from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.problem import UNITS
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
@@ -174,10 +175,9 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
 def _draw_residual(
     panel: Any, before: Hypothesis, after: Hypothesis, block: str, place: int
 ) -> None:
-    unit = 'counts' if block == 'plant' else 'A'
     for hypothesis, colour, label in ((before, BEFORE, 'nominal'), (after, AFTER, 'extended')):
         panel.plot(hypothesis.residuals[block][place], color=colour, lw=0.7, label=label)
-    panel.set_ylabel(f'[{unit}]')
+    panel.set_ylabel(f'[{UNITS[block]}]')
     panel.grid(alpha=0.3)
 
 

@@ -18,15 +18,13 @@ from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, signature
+from waferbot_twin.diagnosis.jointly import Signature, fit_jointly, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.effects.effect import Effect
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
-
-Signature = dict[str, Array]
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
@@ -109,26 +107,22 @@ def screen(
     """Fit every rival linearly, each beside the causes of `base`; best first."""
     found = []
     for rival, own in zip(rivals, of_rivals, strict=True):
-        if own is None:
+        shown = {block: matrix for block, matrix in (own or {}).items() if matrix.any()}
+        if not shown:
             continue
-        gain = 0.0
-        value = np.zeros(0)
-        for block, matrix in own.items():
-            if not matrix.any():
-                value = np.zeros(matrix.shape[1])
-                continue
-            channels = base.residuals[block]
-            ends = np.cumsum([len(channel) for channel in channels])[:-1]
-            everything = np.hstack([matrix, *(item[block] for item in of_base if block in item)])
-            estimate = fit(
-                channels,
-                np.split(everything, ends),
-                problem.floors(block),
-                problem.orders(block),
-                rounds=2,
-            )
-            gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
-            value = estimate.value[: matrix.shape[1]]
+        count = len(parameters_of(problem, rival))
+        beside = [item for item in of_base if shown.keys() & item.keys()]
+        everything = side_by_side(
+            [
+                shown,
+                *({block: item[block] for block in shown if block in item} for item in beside),
+            ],
+            [count, *(next(iter(item.values())).shape[1] for item in beside)],
+        )
+        estimate = fit_jointly(problem, base.residuals, everything, rounds=2)
+        before = sum(base.fits[block].log_likelihood for block in shown)
+        gain = 2.0 * (estimate.log_likelihood - before)
+        value = estimate.value[:count]
         if not _possible(problem, rival, value):
             continue
         found.append(Screened(rival, gain - len(value) * math.log(base.samples), value))

@@ -24,21 +24,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import lfilter
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes, moved
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import (
     Progress,
     Screened,
-    Signature,
     candidates,
     screen,
     signatures,
 )
-from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.effects.effect import Effect
 
 FITTED = 5
@@ -210,7 +209,10 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
 
     Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base` in the
-    logs of `problem`.
+    logs of `problem`. What it should gain is found by adding it, as large as in `more`, to what that fit
+    leaves over: noise with a large effect in it has another colour and variance, and the logarithm of
+    its likelihood falls much less than by the square of the effect.
+
     Infinite if the logs do not say what was commanded, so that this cannot be asked.
     """
     ideal = problem.ideal(more.causes)
@@ -224,20 +226,24 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     )
     shape = np.array([item.shape for item in parameters_of(problem, cause)])
     change[shape] = 0.0
-    gain = expected = 0.0
-    for block, matrix in own.items():
-        if not matrix.any():
-            continue
+    shown = {block: matrix for block, matrix in own.items() if matrix.any()}
+    if not shown:
+        return ByCommand(0.0, 0.0)
+    estimate = fit_jointly(problem, base.residuals, shown)
+    noise, with_cause = {}, {}
+    for block, matrix in shown.items():
         channels = base.residuals[block]
-        ends = np.cumsum([len(channel) for channel in channels])[:-1]
-        parts = np.split(matrix, ends)
-        estimate = fit(channels, parts, problem.floors(block), problem.orders(block))
-        gain += 2.0 * (estimate.log_likelihood - base.fits[block].log_likelihood)
-        for part, taps, deviation in zip(
-            parts, estimate.filters, estimate.deviations, strict=True
-        ):
-            expected += float(np.sum((lfilter(taps, 1.0, part @ change) / deviation) ** 2))
-    return ByCommand(gain, expected)
+        fitted = by_channel(matrix @ estimate.value, channels)
+        noise[block] = [left + part for left, part in zip(channels, fitted, strict=True)]
+        caused = by_channel(matrix @ change, channels)
+        with_cause[block] = [left - part for left, part in zip(noise[block], caused, strict=True)]
+    quiet = _log_likelihood(problem, noise)
+    before = sum(base.fits[block].log_likelihood for block in shown)
+    return ByCommand(2.0 * (quiet - before), 2.0 * (quiet - _log_likelihood(problem, with_cause)))
+
+
+def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:
+    return sum(item.log_likelihood for item in problem.judge(residuals).values())
 
 
 def _take_out(finding: Problem, judging: Problem, state: Search) -> None:
