@@ -45,6 +45,8 @@ WINDING_STATE = np.dtype(
     align=True,
 )
 
+SUBSTITUTIONS = 4
+
 
 def motor_encoder(description: Description, axis: str) -> int | None:
     """Return the place of the encoder that sits on an axis' motor, None if there is none."""
@@ -121,7 +123,8 @@ def _find_positions(state, parameters, counts, position):
     """
     Fill `position` (rows, 3): what every row takes to make the encoder see its count.
 
-    One correction a row, begun where the last row ended: errors change little from row to row.
+    By repeated substitution, begun with the error of the row before. It converges as errors of
+    encoders change by much less than a count per count.
     """
     s = state[0]
     p = parameters[0]
@@ -135,8 +138,10 @@ def _find_positions(state, parameters, counts, position):
         encoders.fill_readings(s, p)
         for row in range(counts.shape[0]):
             ideal = counts[row, encoder] / per_unit
-            s['position'][motor] = ideal + correction
-            correction += (counts[row, encoder] - encoders.seen_counts(s, p, encoder)) / per_unit
+            for _ in range(SUBSTITUTIONS):
+                s['position'][motor] = ideal + correction
+                missing = counts[row, encoder] - encoders.seen_counts(s, p, encoder)
+                correction += missing / per_unit
             position[row, motor] = ideal + correction
 
 
