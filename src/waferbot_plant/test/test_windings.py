@@ -34,7 +34,11 @@ def description(winding='wye', sensors=None, errors=None):
                 }
             },
             encoders={
-                'y_linear': {'coordinate': 'travel', 'counts_per_m': COUNTS_PER_M, **(errors or {})}
+                'y_linear': {
+                    'coordinate': 'travel',
+                    'counts_per_m': COUNTS_PER_M,
+                    **(errors or {}),
+                }
             },
             **({'current_sensors': {'y_linear': sensors}} if sensors else {}),
         )

@@ -50,10 +50,12 @@ def simulate(variant: Variant, record: Record) -> Record:
 
 
 def _with_signals_of(record: Record, simulated: Record) -> Record:
-    """Return what was simulated without the signals that a log does not have."""
+    """Return what was simulated without the signals that a log does not have, judged where it is."""
     terminals = None
     if simulated.terminals is not None and record.terminals is not None:
         voltage = None if record.terminals.voltage is None else simulated.terminals.voltage
         terminals = replace(simulated.terminals, voltage=voltage)
     command = None if record.command is None else simulated.command
-    return replace(simulated, command=command, terminals=terminals)
+    return replace(
+        simulated, command=command, terminals=terminals, judged_from_s=record.judged_from_s
+    )

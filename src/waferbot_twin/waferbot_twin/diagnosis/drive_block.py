@@ -63,6 +63,7 @@ class _Lines:
         current = record.terminals.current
         self.current = np.nan_to_num(current)
         self._timing = record.timing
+        self._first_s = max(SETTLING_S, record.judged_from_s)
         self._columns = [
             LINES * place + line
             for place in places
@@ -76,11 +77,11 @@ class _Lines:
         return [f'{AXES[place // LINES]} line {place % LINES + 1}' for place in self._columns]
 
     def means(self, left: Array) -> list[Array]:
-        """Return the means over servo cycles of what is left over (ticks, 6), once it has settled."""
+        """Return the means over servo cycles of what is left over (ticks, 6), where it is judged."""
         divider = self._timing.servo_divider
         cycles = len(left) // divider
         means = left[: cycles * divider].reshape(cycles, divider, -1).mean(axis=1)
-        first = round(SETTLING_S * self._timing.servo_hz)
+        first = round(self._first_s * self._timing.servo_hz)
         return [means[first:, column] for column in self._columns]
 
 
