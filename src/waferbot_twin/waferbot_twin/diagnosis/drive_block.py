@@ -93,14 +93,14 @@ class AmplifierBlock:
 
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
-        self._record = record
+        self.record = record
         self._lines = _Lines(record, _commanded_places(record, variant))
         self.channels = self._lines.channels
         self.floors = [FLOOR_V] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the voltages of lines 1 and 2 against the mean of the three, logged less computed."""
-        record, terminals = self._record, self._record.terminals
+        record, terminals = self.record, self.record.terminals
         assert terminals is not None
         assert terminals.voltage is not None
         settings = amplifier_parameters(variant.copley, record.timing, variant.name)
@@ -129,7 +129,7 @@ class WindingsBlock:
 
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
-        self._record = record
+        self.record = record
         self._lines = _Lines(record, _moved_places(record, variant))
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
@@ -137,12 +137,12 @@ class WindingsBlock:
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""
-        terminals, measured = self._record.terminals, self._lines.current
+        terminals, measured = self.record.terminals, self._lines.current
         assert terminals is not None
         assert terminals.voltage is not None
         computed = np.zeros_like(measured)
         _drive_windings(
-            *_windings(self._record, variant, self._motion, measured[0]),
+            *_windings(self.record, variant, self._motion, measured[0]),
             np.nan_to_num(terminals.voltage),
             terminals.off,
             computed,
@@ -158,7 +158,7 @@ class CurrentLoopBlock:
 
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
-        self._record = record
+        self.record = record
         moved = _moved_places(record, variant)
         places = [place for place in _commanded_places(record, variant) if place in moved]
         self._lines = _Lines(record, places)
@@ -169,13 +169,13 @@ class CurrentLoopBlock:
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""
         measured = self._lines.current
-        settings = amplifier_parameters(variant.copley, self._record.timing, variant.name)
+        settings = amplifier_parameters(variant.copley, self.record.timing, variant.name)
         computed = np.zeros_like(measured)
         _run_current_loop(
-            *_windings(self._record, variant, self._motion, measured[0]),
+            *_windings(self.record, variant, self._motion, measured[0]),
             amplifier.initial_state(settings),
             settings,
-            *_amplifier_inputs(self._record),
+            *_amplifier_inputs(self.record),
             computed,
         )
         return self._lines.means(measured - computed)

@@ -18,7 +18,7 @@ from scipy.signal import lfilter
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.problem import BlockOfLog, Problem
+from waferbot_twin.diagnosis.problem import UNITS, BlockOfLog, Problem
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import autoregression
 from waferbot_twin.effects.variant import Variant
@@ -135,7 +135,7 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                         block,
                         part.record.name,
                         name,
-                        'counts' if block == 'plant' else 'A',
+                        UNITS[block],
                         float(np.sqrt(np.mean(before**2))),
                         float(np.sqrt(np.mean(after**2))),
                         _whiteness(part, name, after, taps),
