@@ -120,6 +120,14 @@ def noise(variant: Variant, level: float, seed: int, random: np.random.Generator
     return Overlay({'disturbances': forces, 'encoders': encoders, 'current_sensors': sensors})
 
 
+def with_noise(
+    variant: Variant, nominal: Variant, level: float, random: np.random.Generator
+) -> Variant:
+    """Return a variant of `nominal` with noise of a level, sized by the nominal machine."""
+    noise_seed = int(random.integers(2**31))
+    return variant.with_overlay(noise(nominal, level, noise_seed, random))
+
+
 def synthesize(
     model: str,
     effects: Sequence[str],
@@ -146,8 +154,7 @@ def synthesize(
         one = parse_effect(text, variant, random)
         hidden.append(one)
         variant = find(one.effect).apply(variant, one.axis, one.values)
-    noise_seed = int(random.integers(2**31))
-    variant = variant.with_overlay(noise(nominal, noise_level, noise_seed, random))
+    variant = with_noise(variant, nominal, noise_level, random)
     loaded = load_experiment(experiment)
     timing = Timing()
     ticks = timing.ticks(loaded.duration_s)

@@ -35,11 +35,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
     )
+    parser.add_argument(
+        '--cluster', metavar='ADDRESS', help='send the work to the Dask scheduler at this address'
+    )
     parser.add_argument('--json', action='store_true', help='print report.json')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
+    from waferbot_twin.cluster import cluster
     from waferbot_twin.diagnosis.diagnose import diagnose, load_records
     from waferbot_twin.diagnosis.report import as_dict, sentence, write
     from waferbot_twin.effects import find
@@ -55,13 +59,13 @@ def execute(options: argparse.Namespace) -> int:
     finding = load_records(options.measured, nominal)
     judging = load_records(options.validate, nominal)
     prepare_folder(options.out, options.force)
-    with progress_bar('diagnosis') as bar:
+    with cluster(options.cluster) as cores, progress_bar('diagnosis') as bar:
         diagnosis = diagnose(
             nominal,
             finding,
             judging,
             lambda what, done, total: bar(done, total),
-            options.workers,
+            cores or options.workers,
             options.without,
         )
     write(diagnosis, options.out)
