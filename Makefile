@@ -12,13 +12,14 @@ SHARED_FILES := $(shell find src -path '*/config/*' -o -path '*/launch/*' -o -pa
 CLEAN_ENVIRONMENT := env -u AMENT_PREFIX_PATH -u CMAKE_PREFIX_PATH -u COLCON_PREFIX_PATH -u PYTHONPATH -u LD_LIBRARY_PATH
 RUN := ./waferbot --exec
 
-.PHONY: help build demo test test-fast lint bench clean
+.PHONY: help build demo test test-fast lint bench bench-diagnosis clean
 
 help:
 	@echo 'make demo       set up, run the twin over ROS 2, record it, print and plot the result'
 	@echo 'make test       linters, type checker and all tests (what CI runs)'
 	@echo 'make test-fast  linters and the tests that need no ROS processes (under 2 minutes)'
 	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'
+	@echo 'make bench-diagnosis  blind tests of the diagnosis; OPTIONS=--help says how to do a part of them'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
 	@echo 'make clean      remove everything that the above made'
 
@@ -56,6 +57,9 @@ test-fast: lint
 bench: build
 	$(RUN) python tests/bench/bench_engines.py
 	$(RUN) python tests/bench/bench_plant.py
+
+bench-diagnosis: build
+	$(RUN) python tests/bench/bench_diagnosis.py $(OPTIONS)
 
 clean:
 	rm -rf .venv build install log runs bench-results .pytest_cache .mypy_cache .ruff_cache .hypothesis

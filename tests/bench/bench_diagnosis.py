@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The diagnosis in blind tests: is the hidden cause named, how small may it be, what is named wrongly?
+
+Effects of the whole library, on every axis, at given sizes, in logs with motions and noise that are
+drawn; nothing hidden; two effects at once; effects that the diagnosis does not know. Every case is
+one line of bench-results/diagnosis.jsonl, written as soon as it is done: what is there is not done
+again, so the bench can be stopped and goes on where it was. At the end tables of all lines of this seed,
+the same as diagnosis.json and a picture, diagnosis.png.
+
+The full matrix takes many hours on two cores. For a part of it:
+
+  make bench-diagnosis OPTIONS='--only single-10 --effects backlash,cogging --minutes 20'
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+# Imported first: it decides where compiled code is kept.
+import waferbot_lockstep.compiled  # noqa: F401  isort: skip
+
+import joblib
+from diagnosis_matrix import picture, summary, trial
+from diagnosis_matrix.cases import GROUPS, Case, cases, pairs
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.cluster import cluster
+from waferbot_twin.effects import find
+
+FOLDER = Path('bench-results')
+PACKAGE = Path(__file__).parent / 'diagnosis_matrix'
+
+
+def main() -> int:
+    """Run what is left to do, print and write what is known."""
+    options = _options()
+    try:
+        _bench(options)
+    except UserError as error:
+        print(f'bench_diagnosis: error: {error}', file=sys.stderr)
+        return 1
+    return 0
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument('--seed', type=int, default=1, help='what everything is drawn from')
+    parser.add_argument(
+        '--only', default='', metavar='GROUP,..', help=f'of {", ".join(GROUPS)} (default: all)'
+    )
+    parser.add_argument('--effects', default='', metavar='NAME,..', help='hide only these')
+    parser.add_argument('--cases', type=int, help='so many of each group (default: full matrix)')
+    parser.add_argument('--minutes', type=float, help='start no new case after this time')
+    parser.add_argument('--workers', type=int, default=os.cpu_count() or 1, help='processes')
+    parser.add_argument(
+        '--cluster', metavar='ADDRESS', help='send the cases to the Dask scheduler there'
+    )
+    parser.add_argument(
+        '--subprocess', action='store_true',
+        help='logs are files, and the diagnosis is the command (slower; a sample will do)',
+    )  # fmt: skip
+    parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
+    parser.add_argument('--out', type=Path, default=FOLDER, metavar='DIR', help='for results')
+    return parser.parse_args()
+
+
+def _bench(options: argparse.Namespace) -> None:
+    groups = _names(options.only) or list(GROUPS)
+    effects = _names(options.effects)
+    for name in groups:
+        if name not in GROUPS:
+            raise UserError(f'--only: there is no group {name!r} (groups: {", ".join(GROUPS)})')
+    for name in effects:
+        find(name)
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = options.out / 'diagnosis.jsonl'
+    lines = read_lines(results)
+    done = {_key(line) for line in lines}
+    wanted = list(_interleaved(groups, effects, options))
+    left = [
+        case
+        for case in wanted
+        if (case.key, options.model, _through(options.subprocess)) not in done
+    ]
+    print(f'{len(wanted)} cases, {len(left)} to do; results: {results}')
+    with cluster(options.cluster, PACKAGE) as cores, results.open('a', encoding='utf-8') as file:
+        for number, line in enumerate(_run_all(left, cores, options), 1):
+            file.write(json.dumps(line) + '\n')
+            file.flush()
+            lines.append(line)
+            reported = ', '.join(item['name'] for item in line.get('reported', []))
+            print(
+                f'{number}/{len(left)}  {line["key"]}: {line["outcome"]}'
+                f'{f" ({reported})" if reported else ""}, {line["case_s"]:.0f} s',
+                flush=True,
+            )
+    of_seed = [
+        line for line in lines if line['seed'] == options.seed and line['model'] == options.model
+    ]
+    found = summary.summarise(of_seed)
+    summary.print_tables(found)
+    (options.out / 'diagnosis.json').write_text(json.dumps(found, indent=2) + '\n', 'utf-8')
+    picture.draw(found, options.out / 'diagnosis.png')
+    print(
+        f'as JSON and picture: {options.out / "diagnosis.json"}, {options.out / "diagnosis.png"}'
+    )
+
+
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Return the results so far; a last line that was cut off is left out."""
+    if not path.exists():
+        return []
+    text = path.read_text('utf-8')
+    whole = text[: text.rfind('\n') + 1]
+    if whole != text:
+        path.write_text(whole, 'utf-8')
+    return [json.loads(line) for line in whole.splitlines()]
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(',') if name.strip()]
+
+
+def _through(files: bool) -> str:
+    return 'files' if files else 'memory'
+
+
+def _key(line: dict[str, Any]) -> tuple[str, str, str]:
+    return line['key'], line['model'], line['through']
+
+
+def _interleaved(
+    groups: Sequence[str], effects: Sequence[str], options: argparse.Namespace
+) -> Iterator[Case]:
+    """Return the cases of all groups in turn, so that a part of the matrix has some of each."""
+    names = pairs(trial.nominal(options.model), effects)
+    each = [
+        itertools.islice(
+            cases(GROUPS[name], names, options.seed), options.cases or GROUPS[name].cases
+        )
+        for name in groups
+    ]
+    for row in itertools.zip_longest(*each):
+        yield from (case for case in row if case is not None)
+
+
+def _run_all(
+    left: Iterable[Case], cores: int | None, options: argparse.Namespace
+) -> Iterator[dict[str, Any]]:
+    """Run cases side by side, each in one process; give the results as they come."""
+    begun_s = time.monotonic()
+
+    def in_time() -> Iterator[Any]:
+        for case in left:
+            if options.minutes and time.monotonic() - begun_s > 60.0 * options.minutes:
+                return
+            yield joblib.delayed(trial.run)(case, options.model, options.subprocess)
+
+    workers = cores or options.workers
+    pool = joblib.Parallel(
+        n_jobs=workers, batch_size=1, pre_dispatch='n_jobs', return_as='generator_unordered'
+    )
+    yield from pool(in_time())
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Cases: what is hidden in which logs, all drawn from a seed.
+
+A case is told by its kind, what is hidden and a number; with the bench's seed that says everything
+else. What is drawn does not depend on the size, so that the cases of a detection curve differ in
+nothing but the size of the effect.
+"""
+
+from __future__ import annotations
+
+import itertools
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis_matrix.motions import draw_experiment
+from waferbot_twin.effects import find, library
+from waferbot_twin.effects.effect import Parameter, Values
+from waferbot_twin.effects.variant import Variant
+
+SINGLE, NOTHING, TWO, UNKNOWN = 'single', 'nothing', 'two', 'unknown'
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cases that are counted together: their kind, their size, how many are in the full matrix."""
+
+    name: str
+    kind: str
+    size: float
+    cases: int
+
+
+GROUPS = {
+    group.name: group
+    for group in (
+        Group('single-10', SINGLE, 10.0, 304),
+        Group('single-3', SINGLE, 3.0, 304),
+        Group('single-1', SINGLE, 1.0, 152),
+        Group('nothing', NOTHING, 0.0, 304),
+        Group('two', TWO, 5.0, 152),
+        Group('unknown', UNKNOWN, 10.0, 152),
+    )
+}
+
+FIXED_BY_CONSTRUCTION = ('order', 'period', 'every')
+"""Shapes that the construction of a machine fixes (turn, pole, tooth): those of a trial, as they are."""
+
+NOISE_LEVELS = (0.3, 3.0)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is hidden (`effect:axis`, none, one or two), and the number of the case among its like."""
+
+    group: str
+    hidden: tuple[str, ...]
+    number: int
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """One line that no other case has."""
+        return ' '.join(
+            (self.group, '+'.join(self.hidden) or '-', str(self.number), str(self.seed))
+        )
+
+    @property
+    def random(self) -> np.random.Generator:
+        """The generator that everything else is drawn from; the same for all sizes."""
+        kind = GROUPS[self.group].kind
+        text = ' '.join((kind, *self.hidden))
+        return np.random.default_rng([self.seed, zlib.crc32(text.encode()), self.number])
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """
+    A case in full but for the sizes.
+
+    Experiments and seeds of the logs for finding and for judging; level of the noise; for each hidden
+    effect the direction in which its parameters go, and its shape.
+    """
+
+    finding: tuple[tuple[str, int], ...]
+    judging: tuple[tuple[str, int], ...]
+    noise: float
+    directions: tuple[Direction, ...]
+
+
+@dataclass(frozen=True)
+class Direction:
+    """
+    Where the parameters of an effect go as it grows: neutral + scale * width; shapes stay.
+
+    `widths` are in the parameters' order, with sign.
+    """
+
+    parameters: tuple[Parameter, ...]
+    widths: tuple[float, ...]
+    shapes: Values
+
+    def values(self, scale: float) -> Values:
+        """Return the values at a scale: within the bounds, in whole steps where there are steps."""
+        found = {}
+        for item, width in zip(self.parameters, self.widths, strict=True):
+            value = self.shapes.get(item.name, item.neutral + scale * width)
+            if item.resolution > 0.0 and not item.shape:
+                steps = round((value - item.neutral) / item.resolution)
+                value = item.neutral + steps * item.resolution
+            found[item.name] = min(max(value, item.low), item.high)
+        return found
+
+    @property
+    def largest_scale(self) -> float:
+        """The scale at which the first parameter comes to a bound."""
+        limits = [
+            ((item.high if width > 0.0 else item.low) - item.neutral) / width
+            for item, width in zip(self.parameters, self.widths, strict=True)
+            if width != 0.0
+        ]
+        return min(limits)
+
+
+def pairs(variant: Variant, effects: Sequence[str] = ()) -> list[str]:
+    """Return `effect:axis` for every effect (or those named) on every axis where it makes sense."""
+    return [
+        f'{name}:{axis}'
+        for name, effect in library().items()
+        if not effects or name in effects
+        for axis in effect.axes(variant)
+    ]
+
+
+def cases(group: Group, names: Sequence[str], seed: int) -> Iterator[Case]:
+    """Return the cases of a group, without end: all effects once in an order drawn, then again."""
+    for number in itertools.count():
+        if group.kind == NOTHING:
+            yield Case(group.name, (), number, seed)
+            continue
+        random = np.random.default_rng([seed, zlib.crc32(group.kind.encode()), number])
+        if group.kind == TWO:
+            first, second = random.choice(len(names), 2, replace=len(names) < 2)
+            yield Case(group.name, (names[first], names[second]), number, seed)
+            continue
+        for place in random.permutation(len(names)):
+            yield Case(group.name, (names[place],), number, seed)
+
+
+def draw(case: Case, variant: Variant) -> Drawn:
+    """Return everything that is drawn for a case: two motions, now and then three."""
+    random = case.random
+    logs = [
+        (draw_experiment(variant, random), int(random.integers(2**31)))
+        for _ in range(3 if random.random() < 0.25 else 2)
+    ]
+    low, high = np.log(NOISE_LEVELS)
+    noise = float(np.exp(random.uniform(low, high)))
+    directions = tuple(draw_direction(name, variant, random) for name in case.hidden)
+    return Drawn(tuple(logs[:-1]), tuple(logs[-1:]), noise, directions)
+
+
+def draw_direction(name: str, variant: Variant, random: np.random.Generator) -> Direction:
+    """
+    Return the direction of `effect:axis`.
+
+    Parameters go by 0.5 to 1.5 of their typical size, either way where both make sense. A shape
+    is that of one of the effect's trials, within a quarter where nothing fixes it.
+    """
+    effect_name, axis = name.split(':')
+    effect = find(effect_name)
+    parameters = effect.parameters(variant, axis)
+    trials = effect.trials(variant, axis)
+    trial = trials[int(random.integers(len(trials)))]
+    widths, shapes = [], {}
+    for item in parameters:
+        if item.shape:
+            value = trial.get(item.name, item.typical)
+            if item.name not in FIXED_BY_CONSTRUCTION:
+                value *= float(np.exp(random.uniform(-0.22, 0.22)))
+            shapes[item.name] = min(max(value, item.low), item.high)
+            widths.append(0.0)
+            continue
+        width = (item.typical - item.neutral) * float(random.uniform(0.5, 1.5))
+        flips = random.random() < 0.5
+        if flips and item.low < item.neutral < item.high:
+            width = -width
+        widths.append(width)
+    return Direction(parameters, tuple(widths), shapes)

@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rates, errors and confusions of many cases, with their intervals, and what was aimed at."""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from scipy.stats import binomtest
+
+from diagnosis_matrix.cases import GROUPS, NOTHING, SINGLE, TWO, UNKNOWN
+from diagnosis_matrix.trial import LEFT_OUT
+
+Line = dict[str, Any]
+
+NAMED = {
+    SINGLE: ('right', 'group'),
+    NOTHING: ('right',),
+    TWO: ('both', 'both and a false one'),
+    UNKNOWN: ('right',),
+}
+"""Outcomes that count as right, by kind."""
+
+SIZES = (0.7, 1.5, 2.2, 4.5, 8.0, 15.0, 50.0, float('inf'))
+"""Edges of the detection curve."""
+
+LEAST_NOTHING = 300
+LARGEST_ERROR = {'other': 0.05, 'shape': 0.05, 'gain': 0.01, 'inertia': 0.01, 'delay': 0.1}
+SLOWEST_S = 120.0
+
+
+def rate(hits: int, cases: int) -> dict[str, Any]:
+    """Return a share with its 95 % interval (Wilson's score interval); None without cases."""
+    if cases == 0:
+        return {'hits': 0, 'cases': 0, 'share': None, 'low95': None, 'high95': None}
+    interval = binomtest(hits, cases).proportion_ci(0.95, 'wilson')
+    return {
+        'hits': hits,
+        'cases': cases,
+        'share': hits / cases,
+        'low95': float(interval.low),
+        'high95': float(interval.high),
+    }
+
+
+def share(lines: Sequence[Line], is_hit: Callable[[Line], bool]) -> dict[str, Any]:
+    """Return the rate of lines that are hits."""
+    return rate(sum(is_hit(line) for line in lines), len(lines))
+
+
+def is_named(line: Line) -> bool:
+    """Return whether a case came out right."""
+    return line['outcome'] in NAMED[GROUPS[line['group']].kind]
+
+
+def summarise(lines: Sequence[Line]) -> dict[str, Any]:
+    """Return everything that is known of these cases, as plain values."""
+    judged = [line for line in lines if line['outcome'] != LEFT_OUT]
+    of = {name: [line for line in judged if line['group'] == name] for name in GROUPS}
+    singles = [line for line in judged if GROUPS[line['group']].kind == SINGLE]
+    errors = [error for line in of['single-10'] for error in line.get('errors', [])]
+    return {
+        'groups': {
+            name: {
+                'right': share(of[name], is_named),
+                'left_out': sum(
+                    line['group'] == name and line['outcome'] == LEFT_OUT for line in lines
+                ),
+                'outcomes': dict(Counter(line['outcome'] for line in of[name]).most_common()),
+            }
+            for name in GROUPS
+        },
+        'false_alarms': share(of['nothing'], lambda line: line['outcome'] == 'false alarm'),
+        'wrong_and_sure': share(
+            of['single-10'] + of['single-3'], lambda line: line.get('wrong_and_sure', False)
+        ),
+        'false_in_place_of_two': share(
+            of['two'], lambda line: line['outcome'] == 'false in place'
+        ),
+        'unknown_with_twins': share(
+            of['unknown'], lambda line: line['outcome'] in ('right', 'twin')
+        ),
+        'detection': _detection(singles),
+        'confusions': _confusions(judged),
+        'left_out': _left_out(lines),
+        'parameters': _parameters(errors),
+        'errors': {
+            kind: _median([error['error'] for error in errors if error['kind'] == kind])
+            for kind in LARGEST_ERROR
+        },
+        'coverage': share(
+            [error for error in errors if error['covered'] is not None],
+            lambda error: error['covered'],
+        ),
+        'gain_share': _gain_shares(of['single-10']),
+        'runtime_s': _runtimes([line['runtime_s'] for line in judged if 'runtime_s' in line]),
+    }
+
+
+def _detection(singles: Sequence[Line]) -> list[dict[str, Any]]:
+    """Return how often an effect of some size is named, and how often anything is seen."""
+    rows = []
+    for low, high in itertools.pairwise(SIZES):
+        inside = [line for line in singles if 'sizes' in line and low <= line['sizes'][0] < high]
+        rows.append(
+            {
+                'from': low,
+                'to': high if high < float('inf') else None,
+                'size': statistics.geometric_mean([line['sizes'][0] for line in inside])
+                if inside
+                else None,
+                'named': share(inside, is_named),
+                'seen': share(inside, lambda line: line['outcome'] != 'missed'),
+            }
+        )
+    return rows
+
+
+def _confusions(judged: Sequence[Line]) -> list[dict[str, Any]]:
+    """Return what was reported in place of the truth, the most frequent first."""
+    found = Counter(
+        (' + '.join(line['hidden']) or 'nothing', _reported(line), line['group'])
+        for line in judged
+        if not is_named(line)
+    )
+    ordered = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+    return [
+        {'truth': truth, 'reported': reported, 'group': group, 'cases': count}
+        for (truth, reported, group), count in ordered
+    ]
+
+
+def _reported(line: Line) -> str:
+    names = [item['name'] for item in line.get('reported', [])]
+    if names:
+        return ' + '.join(names)
+    return str(line['outcome'])
+
+
+def _left_out(lines: Sequence[Line]) -> dict[str, int]:
+    """Return how often an effect could not be had in the size wanted."""
+    found = Counter(' + '.join(line['hidden']) for line in lines if line['outcome'] == LEFT_OUT)
+    return dict(sorted(found.items(), key=lambda item: (-item[1], item[0])))
+
+
+def _parameters(errors: Sequence[Line]) -> list[dict[str, Any]]:
+    """Return median error and coverage of every parameter of every effect."""
+    keys = sorted({(error['effect'], error['name']) for error in errors})
+    rows = []
+    for effect, name in keys:
+        own = [e for e in errors if (e['effect'], e['name']) == (effect, name)]
+        rows.append(
+            {
+                'effect': effect,
+                'parameter': name,
+                'kind': own[0]['kind'],
+                'cases': len(own),
+                'median_error': _median([e['error'] for e in own])['median'],
+                'coverage': share([e for e in own if e['covered'] is not None], _covered),
+            }
+        )
+    return rows
+
+
+def _covered(error: Line) -> bool:
+    return bool(error['covered'])
+
+
+def _median(values: Sequence[float]) -> dict[str, Any]:
+    return {'cases': len(values), 'median': statistics.median(values) if values else None}
+
+
+def _gain_shares(lines: Iterable[Line]) -> dict[str, Any]:
+    """Return how much of the true model's improvement the extended models reach."""
+    values = [line['gain_share'] for line in lines if line.get('gain_share') is not None]
+    return {**_median(values), 'enough': rate(sum(value >= 0.8 for value in values), len(values))}
+
+
+def _runtimes(values: Sequence[float]) -> dict[str, Any]:
+    return {**_median(values), 'longest': max(values) if values else None}
+
+
+def aims(found: dict[str, Any]) -> list[tuple[str, float | None, str, float, int]]:
+    """Return what was aimed at: (what, found, at most or at least, limit, cases)."""
+    groups = found['groups']
+
+    def of(name: str, item: dict[str, Any], sense: str, limit: float) -> tuple[Any, ...]:
+        return name, item['share'], sense, limit, item['cases']
+
+    rows = [
+        of('named at 10 x', groups['single-10']['right'], 'at least', 0.97),
+        of('named at 3 x', groups['single-3']['right'], 'at least', 0.90),
+        of('wrong with high confidence', found['wrong_and_sure'], 'at most', 0.02),
+        of('false alarms', found['false_alarms'], 'at most', 0.02),
+        of('both of two named', groups['two']['right'], 'at least', 0.80),
+        of('one false cause in place of two', found['false_in_place_of_two'], 'at most', 0.0),
+        of('unknown effect unexplained', groups['unknown']['right'], 'at least', 0.90),
+        of('coverage of 95 % intervals', found['coverage'], 'at least', 0.90),
+        of('coverage of 95 % intervals', found['coverage'], 'at most', 0.98),
+        of('gain of 80 % of the true one', found['gain_share']['enough'], 'at least', 0.90),
+    ]
+    rows += [
+        (f'median error, {kind}', item['median'], 'at most', LARGEST_ERROR[kind], item['cases'])
+        for kind, item in found['errors'].items()
+    ]
+    return rows
+
+
+def is_reached(value: float | None, sense: str, limit: float) -> bool | None:
+    """Return whether an aim is reached, None if nothing is known."""
+    if value is None:
+        return None
+    return value <= limit if sense == 'at most' else value >= limit
+
+
+def _text(item: dict[str, Any]) -> str:
+    if not item['cases']:
+        return '-'
+    return f'{100 * item["share"]:.1f} ({100 * item["low95"]:.1f} to {100 * item["high95"]:.1f})'
+
+
+def _number(value: float | None) -> str:
+    return '-' if value is None else f'{value:.3g}'
+
+
+def print_tables(found: dict[str, Any]) -> None:
+    """Print groups, detection curve, confusions, errors and aims."""
+    console = Console(markup=False, highlight=False, width=130)
+    table = _table('Cases by group', 'group', 'judged', 'left out', 'right [%] (95 %)', 'outcomes')
+    for name, group in found['groups'].items():
+        outcomes = ', '.join(f'{count} {outcome}' for outcome, count in group['outcomes'].items())
+        table.add_row(
+            name,
+            str(group['right']['cases']),
+            str(group['left_out']),
+            _text(group['right']),
+            outcomes,
+        )
+    console.print(table)
+    table = _table('Detection by size', 'size', 'cases', 'named [%] (95 %)', 'seen [%] (95 %)')
+    for row in found['detection']:
+        upper = 'more' if row['to'] is None else f'{row["to"]:g}'
+        table.add_row(
+            f'{row["from"]:g} to {upper}', str(row['named']['cases']), _text(row['named']),
+            _text(row['seen']),
+        )  # fmt: skip
+    console.print(table)
+    table = _table('Not right', 'hidden', 'reported', 'group', 'cases')
+    for row in found['confusions'][:40]:
+        table.add_row(row['truth'], row['reported'], row['group'], str(row['cases']))
+    if found['confusions']:
+        console.print(table)
+    table = _table(
+        'Parameters at 10 x',
+        'effect',
+        'parameter',
+        'error of',
+        'cases',
+        'median error',
+        'covered [%]',
+    )
+    for row in found['parameters']:
+        table.add_row(
+            row['effect'], row['parameter'], row['kind'], str(row['cases']),
+            _number(row['median_error']), _text(row['coverage']),
+        )  # fmt: skip
+    if found['parameters']:
+        console.print(table)
+    table = _table('Aims', 'what', 'found', 'cases', 'aim', '')
+    for what, value, sense, limit, count in aims(found):
+        reached = is_reached(value, sense, limit)
+        verdict = '' if reached is None else 'reached' if reached else 'MISSED'
+        table.add_row(what, _number(value), str(count), f'{sense} {limit:g}', verdict)
+    console.print(table)
+    twins = _text(found['unknown_with_twins'])
+    console.print(f'unknown effects, those explained by a twin counted as right [%]: {twins}')
+    runtime = found['runtime_s']
+    console.print(
+        f'one diagnosis on one core: median {_number(runtime["median"])} s, longest '
+        f'{_number(runtime["longest"])} s'
+    )
+    if found['left_out']:
+        names = ', '.join(f'{name} ({count})' for name, count in found['left_out'].items())
+        console.print(f'left out, because the size is out of reach on that motion: {names}')
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title, title_justify='left')
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify='left' if place in (0, len(headings) - 1) else 'right')
+    return table
