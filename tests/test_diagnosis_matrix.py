@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent / 'bench'))
 
-from diagnosis_matrix import scoring, summary
+from diagnosis_matrix import scoring, summary, trial
 from diagnosis_matrix.cases import GROUPS, Case, cases, draw, draw_direction, pairs
 from diagnosis_matrix.motions import DURATION_S, draw_experiment
 from diagnosis_matrix.sizing import (
@@ -31,10 +31,12 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.from_recording import record_of_recording
 from waferbot_twin.effects import find
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
+from waferbot_twin.synthesis import synthesize
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -371,3 +373,30 @@ def test_tables_and_aims_of_nothing_and_of_something(capsys):
     assert reached['named at 10 x'] is True
     assert reached['gain of 80 % of the true one'] is False
     assert reached['named at 3 x'] is None
+
+
+# The logs
+
+
+@pytest.mark.slow
+def test_a_log_in_memory_is_the_one_that_the_command_writes(tmp_path):
+    hidden = 'wrong_inertia:x_rotate,inertia=0.05'
+    motion = tmp_path / 'motion.yaml'
+    motion.write_text(
+        '{"name": "short", "duration_s": 0.2, "motion": {"x_rotate": '
+        '{"kind": "step", "start_s": 0.05, "amplitude_counts": 500}}}',
+        'utf-8',
+    )
+    synthesize(
+        'rigid', [hidden], str(motion), 0.7, 12, (), tmp_path / 'log', False, lambda *_: None
+    )
+    variant = find('wrong_inertia').apply(trial.nominal('rigid'), 'x_rotate', {'inertia': 0.05})
+    in_memory = trial.log(variant, 'rigid', 0.7, motion.read_text('utf-8'), 12)
+    written = record_of_recording(tmp_path / 'log', trial.nominal('rigid'))
+    # The host of all effects moves alike but for rounding, which now and then moves a count.
+    assert in_memory.ticks == written.ticks
+    assert np.abs(in_memory.reading - written.reading).max() <= 1.0
+    assert np.mean(in_memory.reading != written.reading) < 0.01
+    np.testing.assert_array_equal(in_memory.commanded, written.commanded)
+    np.testing.assert_allclose(in_memory.line_current, written.line_current, atol=0.02)
+    assert np.ptp(written.reading[:, 1]) > 400.0

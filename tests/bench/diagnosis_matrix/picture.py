@@ -49,6 +49,8 @@ def _detection(panel: Any, found: dict[str, Any]) -> None:
         panel.plot(size, aim, marker='_', ms=22, mew=2, color='black')
     panel.plot([], [], marker='_', ms=12, mew=2, color='black', ls='', label='aim')
     panel.set_xscale('log')
+    panel.xaxis.set_major_formatter('{x:g}')
+    panel.xaxis.set_minor_formatter('')
     panel.set_ylim(0.0, 103.0)
     panel.set_xlabel('size: RMS change over the smallest that any test could detect')
     panel.set_ylabel('single effects [%], 95 % intervals')
@@ -93,13 +95,15 @@ def _errors(panel: Any, found: dict[str, Any]) -> None:
     panel.invert_yaxis()
     panel.axvline(1.0, color='black', lw=1.0)
     panel.set_xscale('log')
+    panel.xaxis.set_major_formatter('{x:g}')
+    panel.xaxis.set_minor_formatter('')
     panel.set_xlabel('median error over the aim (in parentheses: cases)')
     panel.set_title('Parameters at 10 x: the largest errors')
 
 
 def _confusions(panel: Any, found: dict[str, Any]) -> None:
     rows = found['confusions'][:SHOWN]
-    panel.barh(range(len(rows)), [row['cases'] for row in rows], color=WRONG)
+    panel.barh(range(len(rows)), [row['cases'] for row in rows], color='#f0c4bf')
     for place, row in enumerate(rows):
         text = f'{row["group"]}: {row["truth"]}  →  {row["reported"]}'
         panel.text(

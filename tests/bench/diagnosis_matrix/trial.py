@@ -31,7 +31,7 @@ from diagnosis_matrix.cases import GROUPS, NOTHING, SINGLE, TWO, UNKNOWN, Case, 
 from diagnosis_matrix.sizing import CLOSE, OutOfReach, scale_of_size, size
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
-from waferbot_pmac.experiments import load_experiment
+from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.servo import MOTOR_KILLED
 from waferbot_twin.diagnosis.diagnose import diagnose, load_records
 from waferbot_twin.diagnosis.from_recording import record_of_signals
@@ -42,7 +42,7 @@ from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.report import as_dict
 from waferbot_twin.diagnosis.search import TELLS_APART
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
+from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.places import moving_inertia
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -82,7 +82,9 @@ def log(variant: Variant, model: str, noise: float, experiment: str, seed: int) 
     noisy = with_noise(variant, nominal(model), noise, random)
     motion = load_experiment(experiment)
     timing = Timing()
-    signals = Twin(noisy.model(), timing, motion).advance(timing.ticks(motion.duration_s))
+    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, model)
+    twin.commanded = commanded_positions(motion, twin.servo_parameters, timing.servo_hz)
+    signals = twin.advance(timing.ticks(motion.duration_s))
     if (signals.servo_state[:, FLAGS].astype(int) & MOTOR_KILLED).any():
         raise UserError('the controller killed a motor')
     return record_of_signals('log', signals)
