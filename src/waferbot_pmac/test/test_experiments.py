@@ -45,7 +45,7 @@ def test_the_schema_is_a_schema():
 def test_what_must_be_shipped_is_shipped():
     wanted = {'step', 'constant', 'wafer_exchange'}
     for axis in AXES:
-        for kind in ('step', 'full_stroke', 'swept_sine', 'slow_velocity', 'random'):
+        for kind in ('step', 'full_stroke', 'swept_sine', 'multisine', 'slow_velocity', 'random'):
             wanted.add(f'{kind}_{axis}')
     assert wanted <= set(shipped_experiments())
 
@@ -64,9 +64,10 @@ def test_shipped_experiment_runs_within_the_limits_of_the_machine(name):
     named = [axis for axis in AXES if name.endswith(axis)]
     if named:
         assert moved == set(named)
-    if name.startswith(('full_stroke', 'slow_velocity', 'wafer', 'swept')):
+    if name.startswith(('full_stroke', 'slow_velocity', 'wafer', 'swept', 'multisine')):
         velocity = np.abs(np.diff(commanded, axis=0)).max(axis=0) * RATE
         assert (velocity <= PARAMETERS['Ixx16'][0] * 1e3 * (1 + 1e-9)).all()
+    if name.startswith(('full_stroke', 'slow_velocity', 'wafer', 'swept')):
         assert not commanded[-1].any()
     if name.startswith(('full_stroke', 'wafer')):
         acceleration = np.abs(np.diff(commanded, 2, axis=0)).max(axis=0) * RATE**2
@@ -222,6 +223,28 @@ def test_mistakes_are_located(text, words):
     assert '\n' not in str(caught.value)
     for word in ['experiment text', *words]:
         assert word in str(caught.value)
+
+
+def test_motions_in_a_list_are_added():
+    one = 'kind: linear, start_s: 0.1, distance_m: 0.01, move_time_s: 0.2, acceleration_time_s: 0.1'
+    other = 'kind: swept_sine, amplitude_m: 1.0e-4, first_frequency_hz: 1, last_frequency_hz: 50'
+    both = f'name: a\nduration_s: 0.6\nmotion:\n  y_linear: [{{{one}}}, {{{other}}}]\n'
+    alone = [positions(motion(0.6, 'y_linear', text)) for text in (one, other)]
+    assert alone[1].any()
+    assert positions(both) == pytest.approx(alone[0] + alone[1], abs=1e-9)
+
+
+def test_a_mistake_in_a_list_of_motions_is_told_with_its_line():
+    text = (
+        'name: a\nduration_s: 1\nmotion:\n  y_linear:\n    - {kind: constant}\n'
+        '    - {kind: step, amplitude_rad: 1}\n'
+    )
+    with pytest.raises(UserError, match=r'line 6.*y_linear is measured in m or counts'):
+        positions(text)
+    with pytest.raises(UserError, match=r'line 6.*amplitude'):
+        positions(text.replace('amplitude_rad', 'amplitud_m'))
+    with pytest.raises(UserError, match='y_linear'):
+        positions('name: a\nduration_s: 1\nmotion: {y_linear: []}\n')
 
 
 @pytest.mark.parametrize(

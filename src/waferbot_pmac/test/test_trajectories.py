@@ -113,6 +113,15 @@ def test_multisine_has_equal_lines_and_nothing_between(seed):
     assert 2.8 < np.abs(signal).max() <= 3.0 + 1e-9
 
 
+def test_lines_of_a_multisine_fall_above_the_corner_as_those_of_a_sweep_do():
+    times = trajectories.cycle_times(1.0, RATE)
+    signal = trajectories.multisine(times, 0.0, 1.0, 1.0, 5.0, 200.0, 20.0, seed=1)
+    lines = np.arange(5, 201)
+    spectrum = np.abs(np.fft.rfft(signal))[lines]
+    assert spectrum / spectrum[0] == pytest.approx((1 + (5 / 20) ** 2) / (1 + (lines / 20) ** 2))
+    assert 0.9 < np.abs(signal).max() <= 1.0 + 1e-9
+
+
 def test_schroeder_phases_keep_the_crest_factor_low():
     times = trajectories.cycle_times(1.0, RATE)
     signal = trajectories.multisine(times, 0.0, 1.0, 1.0, 1.0, 100.0)

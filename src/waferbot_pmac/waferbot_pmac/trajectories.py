@@ -130,16 +130,18 @@ def multisine(
     period_s: float,
     first_frequency_hz: float,
     last_frequency_hz: float,
+    corner_frequency_hz: float = 0.0,
     fade_s: float = 0.0,
     seed: int | None = None,
 ) -> Floats:
     """
-    Sum all harmonics of 1 / `period_s` from the first to the last frequency, equally strong.
+    Sum all harmonics of 1 / `period_s` from the first to the last frequency.
 
-    Periodic, so a frequency response from whole periods has no leakage. Phases after Schroeder,
-    -pi k (k - 1) / K, which keep the crest factor low, or random by `seed` (doubles of PCG64). The
-    sum is scaled so that its largest value in one period is `amplitude`. It starts at `start_s`
-    and is faded in over `fade_s`.
+    They are equally strong, or fall as 1 / (1 + (f / corner)^2) with `corner_frequency_hz`, as
+    those of `swept_sine` do. Periodic, so a frequency response from whole periods has no leakage.
+    Phases after Schroeder, -pi k (k - 1) / K, which keep the crest factor low if all are equally
+    strong, or random by `seed` (doubles of PCG64). The sum is scaled so that its largest value in
+    one period is `amplitude`. It starts at `start_s` and is faded in over `fade_s`.
     """
     harmonics = harmonics_between(period_s, first_frequency_hz, last_frequency_hz)
     order = np.arange(1, harmonics.size + 1)
@@ -148,11 +150,14 @@ def multisine(
     else:
         phases = 2.0 * np.pi * np.random.Generator(np.random.PCG64(seed)).random(harmonics.size)
 
+    strengths = np.ones(harmonics.size)
+    if corner_frequency_hz > 0.0:
+        strengths /= 1.0 + (harmonics / (period_s * corner_frequency_hz)) ** 2
     tau = times - start_s
     total = np.zeros(tau.shape)
-    for harmonic, phase in zip(harmonics, phases, strict=True):
-        total += np.sin(2.0 * np.pi * harmonic * tau / period_s + phase)
-    total *= amplitude / _peak_of_sines(harmonics, phases)
+    for harmonic, phase, strength in zip(harmonics, phases, strengths, strict=True):
+        total += strength * np.sin(2.0 * np.pi * harmonic * tau / period_s + phase)
+    total *= amplitude / _peak_of_sines(harmonics, phases, strengths)
     return np.where(_from(times, start_s), total * _fade(tau, np.inf, fade_s), 0.0)
 
 
@@ -165,11 +170,11 @@ def harmonics_between(
     return np.arange(max(first, 1), last + 1)
 
 
-def _peak_of_sines(harmonics: NDArray[np.int64], phases: Floats) -> float:
-    """Return the largest absolute value of a sum of unit sines (16 points per fastest period)."""
+def _peak_of_sines(harmonics: NDArray[np.int64], phases: Floats, strengths: Floats) -> float:
+    """Return the largest absolute value of a sum of sines (16 points per fastest period)."""
     grid = 16 * int(harmonics[-1])
     spectrum = np.zeros(grid // 2 + 1, dtype=np.complex128)
-    spectrum[harmonics] = -0.5j * np.exp(1j * phases) * grid
+    spectrum[harmonics] = -0.5j * strengths * np.exp(1j * phases) * grid
     return float(np.max(np.abs(np.fft.irfft(spectrum, grid))))
 
 

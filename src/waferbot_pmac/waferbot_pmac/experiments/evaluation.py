@@ -11,7 +11,7 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac import trajectories
-from waferbot_pmac.experiments.loading import LENGTH_UNITS, Experiment
+from waferbot_pmac.experiments.loading import LENGTH_UNITS, Experiment, Motion
 from waferbot_pmac.trajectories import Acceleration, Floats, LinearPath
 
 VELOCITY_REGISTER_LIMIT = 805306368.0
@@ -47,9 +47,10 @@ def commanded_positions(
             f'{1.0 / servo_rate_hz:.6g} s'
         )
     result = np.zeros((times.size, len(AXES)))
-    for axis, motion in experiment.motion.items():
-        evaluation = _Motion(experiment, axis, motion, parameters, servo_rate_hz)
-        result[:, AXES.index(axis)] = evaluation.positions(times)
+    for axis, motions in experiment.motion.items():
+        for motion in motions:
+            evaluation = _Motion(experiment, axis, motion, parameters, servo_rate_hz)
+            result[:, AXES.index(axis)] += evaluation.positions(times)
     if experiment.program:
         _Program(experiment, parameters).run(times, result)
     return result
@@ -114,16 +115,16 @@ class _Motion:
         self,
         experiment: Experiment,
         axis: str,
-        motion: Mapping[str, Any],
+        motion: Motion,
         parameters: np.ndarray,
         servo_rate_hz: float,
     ) -> None:
-        self.path = ('motion', axis)
+        self.path = motion.path
         self.experiment = experiment
-        self.motion = motion
+        self.motion = motion.values
         self.motor = _Motor(parameters, axis)
         self.servo_rate_hz = servo_rate_hz
-        self.start_s = float(motion.get('start_s', 0.0))
+        self.start_s = float(motion.values.get('start_s', 0.0))
 
     def positions(self, times: Floats) -> Floats:
         kinds: dict[str, Callable[[Floats], Floats]] = {
@@ -219,6 +220,7 @@ class _Motion:
             period_s,
             first,
             last,
+            float(self.motion.get('corner_frequency_hz', 0.0)),
             float(self.motion.get('fade_s', 0.0)),
             self.motion.get('seed'),
         )

@@ -39,18 +39,26 @@ _QUANTITY_OF_KIND = {
 
 
 @dataclass(frozen=True)
+class Motion:
+    """A motion of an axis, as in the schema, and where it stands in the document."""
+
+    path: Key
+    values: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Experiment:
     """
     One checked experiment.
 
-    Exactly one of `motion` (axis -> motion) and `program` (statements) is not empty; their keys
-    are those of the schema. `text` is the YAML it was read from, to be recorded with a run.
+    Exactly one of `motion` (axis -> motions that are added) and `program` (statements) is not empty;
+    their keys are those of the schema. `text` is the YAML it was read from, to be recorded with a run.
     """
 
     name: str
     description: str
     duration_s: float
-    motion: Mapping[str, Mapping[str, Any]]
+    motion: Mapping[str, tuple[Motion, ...]]
     program: tuple[Mapping[str, Any], ...]
     text: str
     document: Document
@@ -103,15 +111,17 @@ def _checked(text: str, source: str) -> Experiment:
         raise UserError(f'{document.where(path)} must be a finite number')
     if ('motion' in data) == ('program' in data):
         raise UserError(f'{document.where(())}: give either motion or program')
-    for axis, motion in data.get('motion', {}).items():
-        _check_motion(document, axis, motion)
+    motions = {axis: _motions(axis, given) for axis, given in data.get('motion', {}).items()}
+    for axis, added in motions.items():
+        for motion in added:
+            _check_motion(document, axis, motion)
     for place, statement in enumerate(data.get('program', [])):
         _check_statement(document, place, statement)
     return Experiment(
         name=data['name'],
         description=data.get('description', '').strip(),
         duration_s=float(data['duration_s']),
-        motion=data.get('motion', {}),
+        motion=motions,
         program=tuple(data.get('program', ())),
         text=text,
         document=document,
@@ -150,9 +160,16 @@ def _not_finite(data: Any, path: Key) -> Iterator[Key]:
         yield path
 
 
-def _check_motion(document: Document, axis: str, motion: Mapping[str, Any]) -> None:
+def _motions(axis: str, given: Any) -> tuple[Motion, ...]:
+    """Return the motions of an axis: one, or a list of them."""
+    if isinstance(given, list):
+        return tuple(Motion(('motion', axis, row), values) for row, values in enumerate(given))
+    return (Motion(('motion', axis), given),)
+
+
+def _check_motion(document: Document, axis: str, checked: Motion) -> None:
     """Check what the schema cannot say: units of the axis, one of several keys, order of times."""
-    path = ('motion', axis)
+    path, motion = checked.path, checked.values
     kind = motion['kind']
     if kind in _QUANTITY_OF_KIND:
         _only_one(document, path, motion, _length_keys(_QUANTITY_OF_KIND[kind]))

@@ -15,13 +15,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.timing import Timing
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.engines.inprocess import Signals, Twin
 
 
 def simulate(variant: Variant, record: Record) -> Record:
@@ -32,10 +34,22 @@ def simulate(variant: Variant, record: Record) -> Record:
     rest where the log begins. Raises `UserError` if the loop is unstable.
     """
     assert record.commanded is not None
-    machine = compact(variant).build(record.timing)
-    twin = Twin(machine, variant.pmac, variant.copley, record.timing, variant.name)
+    signals = run_commanded(variant, record.timing, record.commanded, record.ticks)
+    return _with_signals_of(record, record_of_signals(record.name, signals))
+
+
+def run_commanded(
+    variant: Variant, timing: Timing, commanded: NDArray[np.float64], ticks: int
+) -> Signals:
+    """
+    Run the closed loop of `variant` over commanded positions (cycles, 3) in counts of its encoders.
+
+    It begins at rest at the first of them. Raises `UserError` if the loop is unstable.
+    """
+    machine = compact(variant).build(timing)
+    twin = Twin(machine, variant.pmac, variant.copley, timing, variant.name)
     per_unit = twin.servo_parameters[0]['counts_per_unit']
-    begin = record.commanded[0]
+    begin = commanded[0]
     if np.any(np.abs(begin) > 1.0):
         positions = {
             axis: float(begin[place] / per_unit[place])
@@ -45,8 +59,8 @@ def simulate(variant: Variant, record: Record) -> Record:
         twin.plant_state = twin.machine.initial_state(
             twin.plant_parameters, positions, holding=True
         )
-    twin.commanded = record.commanded - begin
-    return _with_signals_of(record, record_of_signals(record.name, twin.advance(record.ticks)))
+    twin.commanded = commanded - begin
+    return twin.advance(ticks)
 
 
 def _with_signals_of(record: Record, simulated: Record) -> Record:
