@@ -226,7 +226,9 @@ def test_mistakes_are_located(text, words):
 
 
 def test_motions_in_a_list_are_added():
-    one = 'kind: linear, start_s: 0.1, distance_m: 0.01, move_time_s: 0.2, acceleration_time_s: 0.1'
+    one = (
+        'kind: linear, start_s: 0.1, distance_m: 0.01, move_time_s: 0.2, acceleration_time_s: 0.1'
+    )
     other = 'kind: swept_sine, amplitude_m: 1.0e-4, first_frequency_hz: 1, last_frequency_hz: 50'
     both = f'name: a\nduration_s: 0.6\nmotion:\n  y_linear: [{{{one}}}, {{{other}}}]\n'
     alone = [positions(motion(0.6, 'y_linear', text)) for text in (one, other)]

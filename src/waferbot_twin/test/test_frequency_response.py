@@ -124,7 +124,9 @@ def test_in_closed_loop_the_direct_estimate_is_wrong_and_the_indirect_one_is_not
     direct = estimate([Run(run.step_s, run.input, run.output) for run in runs], 4.0)
     assert (indirect.method, direct.method) == ('indirect', 'direct')
     truth = plant_at(direct.frequency_hz)
-    noise_power = 0.7**2 / np.abs(1 - 0.9 * np.exp(-2j * np.pi * direct.frequency_hz * STEP_S)) ** 2
+    noise_power = (
+        0.7**2 / np.abs(1 - 0.9 * np.exp(-2j * np.pi * direct.frequency_hz * STEP_S)) ** 2
+    )
     biased = (truth - noise_power / CONTROLLER) / (1.0 + noise_power)
     lines = slice(5, None, 20)
     wrong = np.abs(direct.value - truth)[lines] > 2.0 * direct.radius()[lines]
@@ -186,7 +188,9 @@ def test_realisations_tell_distortion_from_noise():
     assert np.median(response.noise) < 0.1 * np.median(response.deviation)
     # The mean of eight scatters by the deviation; one alone by its root of eight times as much.
     scatter = np.sqrt(np.mean(np.abs(single.value - response.value) ** 2))
-    assert scatter == pytest.approx(np.sqrt(7.0) * np.sqrt(np.mean(response.deviation**2)), rel=0.2)
+    assert scatter == pytest.approx(
+        np.sqrt(7.0) * np.sqrt(np.mean(response.deviation**2)), rel=0.2
+    )
 
 
 @settings(max_examples=50, deadline=None)
@@ -219,7 +223,7 @@ def test_no_period_in_what_does_not_repeat():
 
 def test_a_run_that_is_too_short_is_told():
     run = open_loop(np.random.default_rng(SEED), 450)
-    with pytest.raises(UserError, match=r'0\.2 s cannot resolve 2 Hz.*--resolution between 20'):
+    with pytest.raises(UserError, match=r'0\.2 s cannot resolve 2 Hz.*--resolution between 15'):
         estimate([run], resolution_hz=2.0)
     with pytest.raises(UserError, match='different rates'):
         estimate([run, Run(2 * STEP_S, run.input, run.output)])
@@ -301,7 +305,9 @@ def rigid():
     return Variant.of(load_model('rigid'))
 
 
-@pytest.mark.parametrize(('kind', 'power'), [('acceleration', 2), ('velocity', 1), ('position', 0)])
+@pytest.mark.parametrize(
+    ('kind', 'power'), [('acceleration', 2), ('velocity', 1), ('position', 0)]
+)
 def test_a_double_integrator_is_one_over_its_inertia_by_whatever_is_derived(kind, power):
     """Position by the exact sum of sines of a torque without noise, J = 0.25 kg m2."""
     times = trajectories.cycle_times(6.0, 1.0 / STEP_S)
@@ -349,7 +355,9 @@ def test_a_gap_is_not_bridged():
 
 def test_channels_are_named_by_kind_or_axis_and_kind():
     assert parse_channel('position', 'x_rotate') == Channel('x_rotate', 'position')
-    assert parse_channel('y_linear.acceleration', 'x_rotate') == Channel('y_linear', 'acceleration')
+    assert parse_channel('y_linear.acceleration', 'x_rotate') == Channel(
+        'y_linear', 'acceleration'
+    )
     with pytest.raises(UserError, match="no signal 'positon'; did you mean 'position'"):
         parse_channel('positon', 'x_rotate')
     with pytest.raises(UserError, match="no axis 'z'"):
@@ -372,7 +380,10 @@ def test_the_linear_plant_of_the_rigid_machine_is_its_inertia(rigid, axis):
     moved = position_over_force(rigid, (axis, axis), frequency)
     assembly = rigid.rigid
     mass, _ = home_mass_matrix_and_weight(
-        list(assembly.links), assembly.placing, len(assembly.coordinates), rigid.description.gravity
+        list(assembly.links),
+        assembly.placing,
+        len(assembly.coordinates),
+        rigid.description.gravity,
     )
     mass = mass + np.diag(assembly.rotor_inertia)
     row, ratio = assembly.placing[coordinate(rigid, axis)]

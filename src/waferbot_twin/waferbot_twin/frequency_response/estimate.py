@@ -3,7 +3,7 @@
 Frequency response from sampled signals, with coherence and a confidence circle.
 
 Every run gives several looks at its spectra: the periods of a periodic reference, or otherwise the
-orthogonal tapers (Slepian sequences) of the whole run. Looks of all runs are the rows k of a
+orthogonal sine tapers of the whole run. Looks of all runs are the rows k of a
 regression on the reference R at each frequency,
 
     X_k = Gxr R_k + noise        Y_k = Gyr R_k + noise        G = Gyr / Gxr
@@ -21,13 +21,13 @@ and G lies with 95 % confidence within the circle of radius sqrt(var G F(2, 2 K 
 direct estimate this is the circle of Bendat and Piersol, |G|^2 (1 - c) / c / (K - 1) F, c the coherence.
 
 A swept sine, a random signal and a move are all served by tapers: they leak little, and a resolution
-B over T seconds gives B T - 2 looks. Where every look has the same reference (periods), what scatters is
+B over T seconds gives B T - 1 looks. Where every look has the same reference (periods), what scatters is
 noise; bent by friction or play, the response differs from one *realisation* of a multisine to another,
 but not from period to period. With several realisations both are told apart.
 
-Sources: J. S. Bendat, A. G. Piersol, Random Data; D. J. Thomson, Spectrum estimation and harmonic
-analysis, Proc. IEEE 70 (1982); R. Pintelon, J. Schoukens, System Identification: A Frequency Domain
-Approach.
+Sources: J. S. Bendat, A. G. Piersol, Random Data; K. S. Riedel, A. Sidorenko, Minimum bias multiple
+taper spectral estimation, IEEE Trans. Signal Processing 43 (1995); R. Pintelon, J. Schoukens, System
+Identification: A Frequency Domain Approach.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SAME = 1e-6
 """Two periods are the same if they differ by less than this share of their energy."""
 
 EXCITED = 1e-6
-"""A harmonic is excited if the reference is at least this share of the strongest one; rounding is 1e-12."""
+"""A harmonic is excited if the reference is at least this share of the strongest (rounding: 1e-12)."""
 
 
 @dataclass(frozen=True)
@@ -221,19 +221,19 @@ def _of_tapers(
 ) -> FrequencyResponse:
     """Return the response averaged over a width of frequencies."""
     durations = [len(run.input) * run.step_s for run in runs]
-    width = resolution_hz or (LOOKS + 2.0) / min(durations)
+    width = resolution_hz or (LOOKS + 1.0) / min(durations)
     size = scipy.fft.next_fast_len(max(len(run.input) for run in runs), real=True)
-    frequency = np.fft.rfftfreq(size, runs[0].step_s)
+    frequency = np.arange(size // 2 + 1) / (size * runs[0].step_s)
     lines = (frequency >= width) & (frequency <= top_hz)
     looks = []
     for run, duration in zip(runs, durations, strict=True):
-        count = int(np.floor(width * duration + 1e-9)) - 2
+        count = int(np.floor(width * duration + 1e-9)) - 1
         if count < 2 or not lines.any():
             raise UserError(
                 f'a log of {duration:.4g} s cannot resolve {width:.4g} Hz: give a --resolution '
-                f'between {4.0 / duration:.2g} and {top_hz:.4g} Hz, or a longer log'
+                f'between {3.0 / duration:.2g} and {top_hz:.4g} Hz, or a longer log'
             )
-        tapers = scipy.signal.windows.dpss(len(run.input), 0.5 * width * duration, count)
+        tapers = _sine_tapers(len(run.input), count)
         signals = [run.reference if indirect else run.input, run.input, run.output]
         rows = [
             np.fft.rfft(tapers * (signal - signal.mean()), size)[:, lines]
@@ -246,6 +246,12 @@ def _of_tapers(
         frequency[lines], value, deviation, coherence, None, degrees, width,
         'indirect' if indirect else 'direct', 'tapers',
     )  # fmt: skip
+
+
+def _sine_tapers(size: int, count: int) -> Array:
+    """Return the first `count` sine tapers (count, size): orthogonal, of energy 1."""
+    order, sample = np.arange(1, count + 1)[:, None], np.arange(1, size + 1)
+    return np.sqrt(2.0 / (size + 1.0)) * np.sin(np.pi * order * sample / (size + 1.0))
 
 
 def _regression(
