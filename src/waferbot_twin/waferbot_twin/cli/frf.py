@@ -132,7 +132,7 @@ def _print(comparison: Comparison) -> None:
             '-' if pair.shift_percent is None else f'{pair.shift_percent:+.2f}',
             *(
                 ('≤ ' if side and side.bounded else '')
-                + significant(100.0 * side.damping if side and side.damping else None, 2)
+                + significant(100.0 * side.damping if side else None, 2)
                 for side in sides
             ),
             f'{peak.prominence_db:.1f}',

@@ -53,7 +53,10 @@ SAME = 1e-6
 """Two periods are the same if they differ by less than this share of their energy."""
 
 EXCITED = 1e-6
-"""A harmonic is excited if the reference is at least this share of the strongest (rounding: 1e-12)."""
+"""A harmonic is excited if the reference is at least this share of the strongest one there, ..."""
+
+REPEATED = 1000.0
+"""... and its mean over the periods has this many times the power that scatters (rounding)."""
 
 
 @dataclass(frozen=True)
@@ -200,8 +203,10 @@ def _of_periods(step_s: float, periods: Sequence[Array], top_hz: float) -> Frequ
     length = periods[0].shape[-1]
     frequency = np.fft.rfftfreq(length, step_s)
     spectra = np.fft.rfft(np.stack(periods, axis=1))
-    strength = np.abs(spectra[0]).mean(axis=1).min(axis=0)
-    lines = (strength > EXCITED * strength.max()) & (frequency > 0.0) & (frequency <= top_hz)
+    strength = np.abs(spectra[0].mean(axis=1))
+    scatter = spectra[0].std(axis=1, ddof=1) / np.sqrt(spectra.shape[2])
+    excited = (strength > EXCITED * strength.max()) & (strength > np.sqrt(REPEATED) * scatter)
+    lines = excited.all(axis=0) & (frequency > 0.0) & (frequency <= top_hz)
     spectra = spectra[..., lines]
     realisations = len(periods)
     every = spectra.reshape(3, -1, int(np.count_nonzero(lines)))

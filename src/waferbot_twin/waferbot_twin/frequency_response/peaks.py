@@ -56,7 +56,7 @@ class Peak:
     A resonance or an anti-resonance.
 
     frequency_hz  natural frequency
-    damping       ratio to critical damping; None if the surroundings do not look like one pole
+    damping       ratio to critical damping
     bounded       whether `damping` is only an upper bound: the peak is hardly wider than the resolution
     magnitude     of the response at the peak, its unit
     prominence_db by how much it stands out of its surroundings
@@ -65,7 +65,7 @@ class Peak:
 
     kind: str
     frequency_hz: float
-    damping: float | None
+    damping: float
     bounded: bool
     magnitude: float
     prominence_db: float
@@ -101,7 +101,11 @@ class Pair:
 def find_peaks(
     response: FrequencyResponse, prominence_db: float = PROMINENCE_DB
 ) -> tuple[Peak, ...]:
-    """Return the resonances and anti-resonances of the reliable part of a response, rising."""
+    """
+    Return the resonances and anti-resonances of the reliable part of a response, rising.
+
+    A hump that no single pole makes, as friction does at low frequencies, is none.
+    """
     lines = np.flatnonzero(response.reliable)
     if len(lines) < 5:
         return ()
@@ -123,15 +127,21 @@ def find_peaks(
             if prominence < SURE * band_db[top] or response.reliable[near].mean() < KNOWN_SHARE:
                 continue
             part = slice(max(0, round(top - around)), round(top + around) + 1)
-            fitted = _pole(frequency[part], value[part] ** sign, frequency[top])
-            natural_hz, damping = fitted or (float(frequency[top]), None)
+            fitted = _pole(
+                frequency[part], value[part] ** sign, frequency[top], response.resolution_hz
+            )
+            if fitted is None:
+                continue
+            natural_hz, damping = fitted
+            bounded = 2.0 * damping * natural_hz < WIDE * response.resolution_hz
+            if bounded:
+                damping = max(damping, 0.5 * response.resolution_hz / natural_hz)
             found.append(
                 Peak(
                     kind,
                     natural_hz,
                     damping,
-                    damping is not None
-                    and 2.0 * damping * natural_hz < WIDE * response.resolution_hz,
+                    bounded,
                     float(np.abs(value[top])),
                     float(prominence),
                     float(response.coherence[lines[top]]),
@@ -154,8 +164,14 @@ def _roughness(level_db: Array, apart: int) -> Array:
     return median / (0.6745 * np.sqrt(1.5))
 
 
-def _pole(frequency_hz: Array, value: ComplexArray, top_hz: float) -> tuple[float, float] | None:
-    """Return natural frequency (Hz) and damping ratio of the pole close to a peak, None if none is."""
+def _pole(
+    frequency_hz: Array, value: ComplexArray, top_hz: float, resolution_hz: float
+) -> tuple[float, float] | None:
+    """
+    Return natural frequency (Hz) and damping ratio of the pole close to a peak, None if none is.
+
+    What is far narrower than the resolution may come out with a damping slightly below zero; that is 0.
+    """
     offset = 2j * np.pi * (frequency_hz - top_hz)
     scale = float(np.max(np.abs(offset)))
     offset = offset / scale
@@ -170,9 +186,10 @@ def _pole(frequency_hz: Array, value: ComplexArray, top_hz: float) -> tuple[floa
         pole = complex(solution[2])
         weight = 1.0 / np.maximum(np.abs(offset - pole), 1e-3)
     absolute = 2j * np.pi * top_hz + pole * scale
-    if pole.real >= 0.0 or abs(pole.imag) > 0.5 or absolute.imag <= 0.0:
+    grows_hz = pole.real * scale / (2.0 * np.pi)
+    if grows_hz > 0.5 * resolution_hz or abs(pole.imag) > 0.5 or absolute.imag <= 0.0:
         return None
-    return float(abs(absolute) / (2.0 * np.pi)), float(-absolute.real / abs(absolute))
+    return float(abs(absolute) / (2.0 * np.pi)), float(max(0.0, -absolute.real / abs(absolute)))
 
 
 def match(
