@@ -21,6 +21,7 @@ from waferbot_twin.frequency_response.channels import (
     run_of,
     unit_of,
 )
+from waferbot_twin.frequency_response.compare import Comparison
 from waferbot_twin.frequency_response.estimate import (
     FrequencyResponse,
     Run,
@@ -38,6 +39,7 @@ from waferbot_twin.frequency_response.peaks import (
     find_peaks,
     match,
 )
+from waferbot_twin.frequency_response.report import sentence
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model
 
@@ -288,6 +290,28 @@ def test_where_the_model_is_not_known_nothing_is_missing():
     lost.deviation[:] = 1.0
     assert {pair.verdict for pair in match(measured, lost)} == {NOT_JUDGED}
     assert {pair.verdict for pair in match(measured, None)} == {NOT_JUDGED}
+
+
+def test_the_sentence_claims_no_more_than_was_judged():
+    frequency = np.arange(20.0, 200.0, 0.1)
+    measured = exact(frequency, two_mass_response(frequency, 75.0))
+    rigid = exact(frequency, np.full(len(frequency), 0.2))
+    lost = exact(frequency, np.full(len(frequency), 0.2))
+    lost.deviation[:] = 1.0
+
+    def said(one, other):
+        channels = (Channel('x_rotate', 'force'), Channel('x_rotate', 'acceleration'))
+        pairs = tuple(match(one, other))
+        return sentence(Comparison((), channels, '', 'mine', one, other, None, pairs, ()))
+
+    assert said(measured, rigid) == 'Model mine lacks the resonance at 75 Hz.'
+    assert (
+        said(rigid, measured) == 'Model mine has, other than the machine, the resonance at 75 Hz.'
+    )
+    assert said(measured, measured).startswith('Model mine has the resonances that were measured')
+    nothing = 'No resonance stands out where measurement and model are reliable.'
+    assert said(rigid, rigid) == said(measured, lost) == nothing
+    assert said(measured, None) == 'There is no simulation to compare with.'
 
 
 def log_of(**signals):

@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from waferbot_twin.frequency_response.compare import Comparison
 from waferbot_twin.frequency_response.estimate import Array, ComplexArray, FrequencyResponse
-from waferbot_twin.frequency_response.peaks import EXTRA, MISSING, NOT_JUDGED, RESONANCE
+from waferbot_twin.frequency_response.peaks import (
+    EXTRA,
+    MATCHED,
+    MISSING,
+    NOT_JUDGED,
+    RESONANCE,
+)
 from waferbot_twin.plot import TITLES
 
 SCHEMA = 1
@@ -41,10 +47,11 @@ def sentence(comparison: Comparison) -> str:
         if found:
             plural = 's' if len(found) > 1 else ''
             parts.append(f'{text} the resonance{plural} at {", ".join(found)}')
-    name = comparison.model
-    return f'Model {name} {" and ".join(parts)}.' if parts else (
-        f'Model {name} has every resonance that was measured, and no other.'
-    )  # fmt: skip
+    if parts:
+        return f'Model {comparison.model} {" and ".join(parts)}.'
+    if any(pair.verdict == MATCHED and pair.kind == RESONANCE for pair in comparison.pairs):
+        return f'Model {comparison.model} has the resonances that were measured, and no other.'
+    return 'No resonance stands out where measurement and model are reliable.'
 
 
 def how(response: FrequencyResponse) -> str:
