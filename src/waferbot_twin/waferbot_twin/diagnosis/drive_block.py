@@ -42,11 +42,11 @@ OBSERVER_S = 0.005
 CATCHING_UP = 0.5
 """Share of the missing voltage that it takes over in a tick while it gets hold of a log's beginning."""
 
-FLOOR_V = 0.01
-"""Smallest standard deviation of a voltage: a bus of 325 V in 15 bits has steps of 0.01 V."""
+FLOOR_V = 1e-3
+"""Smallest deviation of a voltage: 325 V in 16 bits have steps of 5 mV, 0.5 mV rms in a mean."""
 
-FLOOR_A = 5e-4
-"""Smallest standard deviation of a current: 40 A in 15 bits have steps of 1.2 mA, 0.35 mA rms."""
+FLOOR_A = 1e-4
+"""Smallest deviation of a current: 40 A in 16 bits have steps of 1.2 mA, 0.12 mA rms in a mean."""
 
 SETTLING_S = 0.05
 """What is left out at the beginning of a log: several time constants L/R of usual motors."""

@@ -25,6 +25,10 @@ from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 
 SCHEMA = 1
+
+ROUNDING = 1e-9
+"""RMS residual (counts, A or V) below which nothing is left over."""
+
 NORMAL_95 = 1.96
 
 
@@ -156,18 +160,29 @@ def page(diagnosis: Diagnosis) -> str:
 
 
 def _draw_residuals(diagnosis: Diagnosis) -> Figure:
-    """Draw what every block leaves over in the first log for finding, before and after."""
+    """
+    Draw what every block leaves over in the first log for finding, before and after.
+
+    Channels of which nothing but rounding is left have no panel.
+    """
     before, after = diagnosis.search.nothing, diagnosis.search.found
-    rows = [
-        (block, place) for block, names in diagnosis.where.items() for place in range(len(names))
+    shown = [
+        (block, place, name)
+        for block, channels in diagnosis.where.items()
+        for place, (name, left) in enumerate(channels.items())
+        if left > ROUNDING
     ]
+    rows = -(-len(shown) // 2)
     figure, panels = plt.subplots(
-        len(rows), 1, figsize=(12.0, 1.2 + 1.5 * len(rows)), squeeze=False, layout='constrained'
+        rows, 2, figsize=(12.0, 1.2 + 1.5 * rows), squeeze=False, layout='constrained'
     )
-    for panel, (block, place) in zip(panels[:, 0], rows, strict=True):
+    for panel, (block, place, name) in zip(panels.T.flat, shown, strict=False):
         _draw_residual(panel, before, after, block, place)
-        panel.set_title(f'{block}: {list(diagnosis.where[block])[place]}', fontsize=9, loc='left')
-    panels[-1][0].set_xlabel('servo cycle')
+        panel.set_title(f'{block}: {name}', fontsize=9, loc='left')
+    for panel in panels.T.flat[len(shown) :]:
+        panel.set_axis_off()
+    for panel in panels[-1]:
+        panel.set_xlabel('servo cycle')
     panels[0][0].legend(fontsize=8, loc='upper right')
     return figure
 
