@@ -172,7 +172,7 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
         for place, (name, left) in enumerate(channels.items())
         if left > ROUNDING
     ]
-    rows = -(-len(shown) // 2)
+    rows = max(1, -(-len(shown) // 2))
     figure, panels = plt.subplots(
         rows, 2, figsize=(12.0, 1.2 + 1.5 * rows), squeeze=False, layout='constrained'
     )
@@ -183,7 +183,8 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
         panel.set_axis_off()
     for panel in panels[-1]:
         panel.set_xlabel('servo cycle')
-    panels[0][0].legend(fontsize=8, loc='upper right')
+    if shown:
+        panels[0][0].legend(fontsize=8, loc='upper right')
     return figure
 
 
