@@ -35,6 +35,9 @@ from waferbot_twin.effects.variant import Variant
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
 
+LOSES = 0.01
+"""Sum over the axes of ln(RMS error after / before) from which on an extension is withdrawn."""
+
 UNEXPLAINED_FLOORS = 5.0
 """A controller whose residual is this many times its resolution has something unexplained."""
 
@@ -153,13 +156,17 @@ def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
 
 
 def _worse(axis_gains: Sequence[AxisGain]) -> bool:
-    """Return whether the extension loses more on some axes than it wins on others."""
+    """
+    Return whether the extension plainly loses more on some axes than it wins on others.
+
+    Many causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
+    """
     ratios = [
         math.log(item.rms_after / item.rms_before)
         for item in axis_gains
         if item.rms_before > 0.0 and item.rms_after > 0.0
     ]
-    return bool(ratios) and sum(ratios) > 0.0
+    return sum(ratios) > LOSES
 
 
 def _left_over(
