@@ -14,8 +14,13 @@ Source: P. Stoica and R. Moses, Spectral Analysis of Signals, 2005, section 2.7 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from waferbot_twin.diagnosis.whitening import Fit
 
 Array = NDArray[np.float64]
 
@@ -49,3 +54,26 @@ def flattened(samples: Array, power: Array) -> Array:
     root = np.sqrt(power)
     divided = lines / (root if samples.ndim == 1 else root[:, None])
     return np.asarray(np.fft.irfft(divided, len(samples), axis=0), np.float64)
+
+
+class Whitening:
+    """Makes the noise in the residuals of one block white and of unit variance."""
+
+    def __init__(self, fit: Fit, channels: Sequence[Array]) -> None:
+        """Take the autoregressions of `fit`, and what they leave of the colour of `channels`."""
+        self._fit = fit
+        self._powers: list[Array | None] = [None] * len(channels)
+        self._powers = [
+            spectrum(white) if len(taps) > 1 else None
+            for white, taps in zip(self(channels), fit.filters, strict=True)
+        ]
+
+    def __call__(self, channels: Sequence[Array]) -> list[Array]:
+        """Return the channels, each whitened."""
+        found = []
+        for channel, taps, deviation, power in zip(
+            channels, self._fit.filters, self._fit.deviations, self._powers, strict=True
+        ):
+            white = lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
+            found.append(white if power is None else flattened(white, power))
+        return found

@@ -17,18 +17,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import Fit
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.identification.colour import flattened, spectrum
+from waferbot_twin.identification.colour import Whitening
 from waferbot_twin.identification.conditioning import Conditioning, conditioning
 from waferbot_twin.identification.named_parameters import MODEL, NamedParameter
+from waferbot_twin.identification.solving import least_squares
 
 STEP = 2e-3
 """Step of the difference quotients, in scaled values."""
@@ -42,8 +40,8 @@ SETTLED = 0.1
 EVALUATIONS = 12
 """Most simulations of one fit with the same whitening, those for derivatives not counted."""
 
-IMPOSSIBLE = 1e6
-"""Residual in place of one of a model that cannot be simulated."""
+TOLERANCE = 1e-7
+"""Relative change of squares or values at which one fit is done."""
 
 Progress = Callable[[int, int], None]
 
@@ -107,32 +105,6 @@ def estimate(
     )
 
 
-class Whitening:
-    """Makes the noise in the residuals of one block white and of unit variance."""
-
-    def __init__(self, fit: Fit, channels: Sequence[Array]) -> None:
-        """Take the autoregressions of `fit`, and what they leave of the colour of `channels`."""
-        self._fit = fit
-        self._powers: list[Array | None] = [None] * len(channels)
-        self._powers = [
-            spectrum(white) if len(taps) > 1 else None
-            for white, taps in zip(self._each(channels), fit.filters, strict=True)
-        ]
-
-    def __call__(self, channels: Sequence[Array]) -> Array:
-        """Return the channels, each whitened, one after another."""
-        return np.concatenate(self._each(channels))
-
-    def _each(self, channels: Sequence[Array]) -> list[Array]:
-        found = []
-        for channel, taps, deviation, power in zip(
-            channels, self._fit.filters, self._fit.deviations, self._powers, strict=True
-        ):
-            white = lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
-            found.append(white if power is None else flattened(white, power))
-        return found
-
-
 class _Fitting:
     """The least-squares problem of some parameters, with noise of the colour that a hypothesis has."""
 
@@ -154,14 +126,19 @@ class _Fitting:
             block: Whitening(now.fits[block], now.residuals[block]) for block in self.blocks
         }
         self._lengths = {
-            block: len(self._whitening[block](now.residuals[block])) for block in self.blocks
+            block: sum(map(len, self._whitening[block](now.residuals[block])))
+            for block in self.blocks
         }
 
     def residual(self, scaled: Array, blocks: Sequence[str]) -> Array:
         """Return the white residuals of some blocks, stacked; raises `UserError`."""
         variant = apply_all(self.problem.nominal, _causes(self.parameters, scaled))
         return np.concatenate(
-            [self._whitening[block](self.problem.residuals(variant, block)) for block in blocks]
+            [
+                white
+                for block in blocks
+                for white in self._whitening[block](self.problem.residuals(variant, block))
+            ]
         )
 
     def jacobian(self, scaled: Array, step: float) -> Array:
@@ -192,28 +169,17 @@ class _Fitting:
         """Return the best scaled values, and their standard errors."""
 
         def residual(tried: Array) -> Array:
-            try:
-                own = self.residual(tried, self.blocks)
-            except UserError:
-                own = np.full(sum(self._lengths.values()), IMPOSSIBLE)
-            return np.concatenate([own, tried / self.half_ranges])
+            return np.concatenate([self.residual(tried, self.blocks), tried / self.half_ranges])
 
-        def jacobian(tried: Array) -> Array:
+        def derivative(tried: Array) -> Array:
             return np.vstack([self.jacobian(tried, STEP), np.diag(1.0 / self.half_ranges)])
 
         low, high = np.array([parameter.scaled_range for parameter in self.parameters]).T
-        result = least_squares(
-            residual,
-            np.clip(scaled, low + STEP, high - STEP),
-            jacobian,
-            (low, high),
-            x_scale=self.half_ranges,
-            max_nfev=EVALUATIONS,
-            xtol=1e-6,
+        best, jacobian = least_squares(
+            residual, derivative, scaled, (low, high), EVALUATIONS, TOLERANCE
         )
-        found = [held(*pair) for pair in zip(self.parameters, result.x, strict=True)]
-        covariance = np.linalg.inv(result.jac.T @ result.jac)
-        return np.array(found), np.sqrt(np.diag(covariance))
+        found = [held(*pair) for pair in zip(self.parameters, best, strict=True)]
+        return np.array(found), np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
 
     def conditioning(self, scaled: Array) -> Conditioning:
         """Return what the logs say about the parameters where they are."""

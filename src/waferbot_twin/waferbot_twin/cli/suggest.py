@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Suggest the experiment that tells causes apart which the logs at hand cannot separate.
+
+  waferbot suggest REPORT --out DIR
+  waferbot suggest --rivals coulomb_friction:x_rotate viscous_friction:x_rotate,damping=0.3 --out DIR
+
+REPORT is the folder of a diagnosis. Every experiment of the library and some designed ones are simulated
+with each of the causes in the machine; the best is written to DIR/experiment.yaml, which waferbot run and
+waferbot synthesize take.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of `waferbot suggest`."""
+    parser.add_argument('report', nargs='?', type=Path, help='the folder of a diagnosis')
+    parser.add_argument(
+        '--rivals', nargs='+', default=[], metavar='EFFECT:AXIS[,KEY=VALUE...]',
+        help='causes to tell apart, in place of a report; values that are not given are typical',
+    )  # fmt: skip
+    parser.add_argument(
+        '--cause', metavar='EFFECT:AXIS', help='which cause of the report (default: the first)'
+    )
+    parser.add_argument(
+        '--model', metavar='NAME|FILE', help='default: that of the report, else rigid'
+    )
+    parser.add_argument('--noise', type=float, default=1.0, help='level of the noise (default 1)')
+    parser.add_argument('--seed', type=int, default=0, help='of the noise')
+    parser.add_argument(
+        '--without', action='append', default=[],
+        choices=('commanded', 'currents', 'command', 'voltages'),
+        help='signals that the logs do not have',
+    )  # fmt: skip
+    parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder for the experiment')
+    parser.add_argument('--force', action='store_true', help='replace what is at --out')
+    parser.add_argument(
+        '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
+    )
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
+
+
+def execute(options: argparse.Namespace) -> int:
+    """Rate the experiments, print the table, write the best."""
+    from waferbot_lockstep.timing import Timing
+    from waferbot_twin.diagnosis.problem import apply_all
+    from waferbot_twin.effects.host import host
+    from waferbot_twin.effects.variant import Variant
+    from waferbot_twin.html_page import prepare_folder
+    from waferbot_twin.models import load_model
+    from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
+    from waferbot_twin.suggestion.rivals import named, of_report, read_report
+    from waferbot_twin.suggestion.separation import Machine
+    from waferbot_twin.suggestion.suggest import suggest
+
+    if (options.report is None) == (not options.rivals):
+        raise UserError('give either the report of a diagnosis or --rivals')
+    if not 0.0 < options.noise <= 100.0:
+        raise UserError(f'--noise is {options.noise:g}; it must be above 0 and at most 100')
+    if options.workers < 1:
+        raise UserError(f'--workers is {options.workers}; it must be at least 1')
+    report = {} if options.report is None else read_report(options.report)
+    variant = host(Variant.of(load_model(options.model or report.get('model', 'rigid'))))
+    group = (
+        of_report(report, variant, options.cause)
+        if options.report is not None
+        else named(options.rivals, variant)
+    )
+    if options.out is not None:
+        prepare_folder(options.out, options.force)
+    machine = Machine(
+        apply_all(variant, group.others),
+        options.noise,
+        options.seed,
+        Timing(),
+        tuple(options.without),
+    )
+    with progress_bar('simulating experiments') as progress:
+        found = suggest(machine, group.rivals, progress, options.workers)
+    if options.out is not None:
+        write(found, options.out)
+    if options.json:
+        print_json(as_dict(found))
+        return 0
+    table = new_table(
+        'experiment', '2 ln L', 'x detectable', 's', 'speed [%]', 'current [%]', ''
+    )  # fmt: skip
+    table.columns[-1].justify, table.columns[-1].no_wrap = 'left', False
+    for row in table_rows(found):
+        table.add_row(*row)
+    result_console.print(table)
+    print(sentence(found))
+    if options.out is not None and found.best is not None:
+        say(f'experiment: {options.out / "experiment.yaml"}')
+    return 0

@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How well an experiment would tell two causes apart, found by simulating it.
+
+The machine is simulated with cause A, once with noise, which gives its colour and size in every
+signal, and once without, which is what an endless repetition would show. To that, cause B is fitted as
+well as it can be. What is left then, white and in units of the noise, is what tells the two apart. With
+S_c the sum of its squares in channel c of N_c samples, the ratio of their likelihoods is expected to be
+
+    2 ln(L_A / L_B) = sum over channels of N_c ln(1 + S_c / N_c) .
+
+The other way round, with B in the machine, it is another number; only the smaller one can be relied on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import Experiment, commanded_positions
+from waferbot_pmac.experiments.evaluation import MILLISECONDS
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.host import compact
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.identification.colour import Whitening
+from waferbot_twin.identification.solving import least_squares
+from waferbot_twin.synthesis import noise
+
+STEP = 0.02
+"""Step of the difference quotients of a fit, in shares of a parameter's typical value."""
+
+EVALUATIONS = 8
+"""Most simulations of one fit, those for derivatives not counted."""
+
+MOST_SPEED, MOST_CURRENT = 1.1, 0.95
+"""Shares of speed limit (a full stroke overshoots it a little) and peak current that may be used."""
+
+TOLERANCE = 1e-4
+"""Relative change of squares or values at which a fit is done."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """
+    What is to be found out about: a model, with what is known to be in it, and the noise of its logs.
+
+    `variant` has room for the causes (`effects.host`); `level` and `seed` are those of `synthesis.noise`,
+    `without` names signals (as `synthesis.LEFT_OUT`) that its logs do not have.
+    """
+
+    variant: Variant
+    level: float
+    seed: int
+    timing: Timing
+    without: tuple[str, ...] = ()
+
+    def record(self, signals: Signals) -> Record:
+        """Return what of a run would be in a log."""
+        record = record_of_signals('log', signals)
+        terminals = record.terminals
+        if 'currents' in self.without:
+            terminals = None
+        elif terminals is not None and 'voltages' in self.without:
+            terminals = replace(terminals, voltage=None)
+        return replace(
+            record,
+            terminals=terminals,
+            commanded=None if 'commanded' in self.without else record.commanded,
+            command=None if 'command' in self.without else record.command,
+        )
+
+    def run(self, causes: Sequence[Cause], experiment: Experiment, noisy: bool) -> Signals:
+        """Return what a run with these causes would give; raises `UserError` if it is unstable."""
+        variant = apply_all(self.variant, causes)
+        if noisy:
+            random = np.random.default_rng(self.seed)
+            variant = variant.with_overlay(noise(self.variant, self.level, self.seed, random))
+        return self.twin(variant, experiment).advance(self.timing.ticks(experiment.duration_s))
+
+    def twin(self, variant: Variant, experiment: Experiment) -> Twin:
+        """Return the closed loop of a variant, ready for an experiment; raises `UserError`."""
+        built = compact(variant).build(self.timing)
+        twin = Twin(built, variant.pmac, variant.copley, self.timing, variant.name)
+        twin.commanded = commanded_positions(
+            experiment, twin.servo_parameters, self.timing.servo_hz
+        )
+        return twin
+
+
+@dataclass(frozen=True)
+class Load:
+    """Largest speed and current of an axis in an experiment, in shares of their limits."""
+
+    speed: float
+    current: float
+    axis: str
+
+    @property
+    def possible(self) -> bool:
+        """Whether the machine can do it."""
+        return self.speed <= MOST_SPEED and self.current <= MOST_CURRENT
+
+
+@dataclass(frozen=True)
+class Separation:
+    """
+    How an experiment tells a cause from a rival.
+
+    `evidence` is the 2 ln L that it is expected to give, `refitted` the rival with the values that come
+    closest, `samples` how many there are, `load` what the machine has to do.
+    """
+
+    evidence: float
+    refitted: Cause
+    samples: int
+    load: Load
+
+
+def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experiment) -> Separation:
+    """
+    Return how well an experiment tells `rival` from `true`, which is in the machine.
+
+    Raises `UserError` if the machine cannot be simulated with `true`.
+    """
+    noisy = machine.run((true,), experiment, noisy=True)
+    ideal = machine.run((true,), experiment, noisy=False)
+    shaken = evaluate(Problem(machine.variant, [machine.record(noisy)]), (true,))
+    problem = Problem(machine.variant, [machine.record(ideal)])
+    whitening = {
+        block: Whitening(fit, shaken.residuals[block]) for block, fit in shaken.fits.items()
+    }
+
+    def left(cause: Cause) -> list[Array]:
+        variant = apply_all(machine.variant, (cause,))
+        return [
+            part
+            for block, white in whitening.items()
+            for part in white(problem.residuals(variant, block))
+        ]
+
+    own = left(true)
+    parameters = parameters_of(problem, rival)
+
+    def difference(scaled: Array) -> list[Array]:
+        return [
+            one - other
+            for one, other in zip(left(_at(rival, parameters, scaled)), own, strict=True)
+        ]
+
+    best = _closest(difference, rival, parameters)
+    rest = difference(best)
+    evidence = sum(
+        len(part) * np.log1p(float(part @ part) / len(part)) for part in rest if len(part)
+    )
+    return Separation(
+        float(evidence), _at(rival, parameters, best), shaken.samples, load(machine.variant, ideal)
+    )
+
+
+def _scales(parameters: Sequence[Parameter]) -> Array:
+    """Return the change of each parameter that is plainly seen."""
+    return np.array(
+        [
+            abs(item.typical - item.neutral) or abs(item.typical) or 0.1 * (item.high - item.low)
+            for item in parameters
+        ]
+    )
+
+
+def _at(cause: Cause, parameters: Sequence[Parameter], scaled: Array) -> Cause:
+    """Return a cause with parameters in shares of what is plainly seen, within their bounds."""
+    values = {
+        item.name: float(np.clip(share * scale, item.low, item.high))
+        for item, share, scale in zip(parameters, scaled, _scales(parameters), strict=True)
+    }
+    return Cause(cause.effect, cause.axis, values)
+
+
+def _closest(
+    difference: Callable[[Array], list[Array]], cause: Cause, parameters: Sequence[Parameter]
+) -> Array:
+    """Return the scaled values with the least squares of `difference`, from those of the cause on."""
+    scales = _scales(parameters)
+    low, high = (
+        np.array([getattr(item, end) for item in parameters]) / scales for end in ('low', 'high')
+    )
+    start = np.array([cause.values[item.name] for item in parameters]) / scales
+    steps = np.maximum(STEP, np.array([item.resolution for item in parameters]) / scales)
+
+    def residual(scaled: Array) -> Array:
+        return np.concatenate(difference(scaled))
+
+    def derivative(scaled: Array) -> Array:
+        here = residual(scaled)
+        columns = []
+        for place, step in enumerate(steps):
+            aside = scaled.copy()
+            aside[place] += step if scaled[place] + step <= high[place] else -step
+            columns.append((residual(aside) - here) / (aside[place] - scaled[place]))
+        return np.column_stack(columns)
+
+    best, _ = least_squares(residual, derivative, start, (low, high), EVALUATIONS, TOLERANCE)
+    return best
+
+
+def load(variant: Variant, signals: Signals) -> Load:
+    """Return how much of the limits of the axes a run takes; the axis is that with the largest share."""
+    record = record_of_signals('run', signals)
+    shares = []
+    for place, axis in enumerate(AXES):
+        if axis not in places.controlled_axes(variant):
+            continue
+        speed, current = _largest(variant, record, place)
+        shares.append(Load(speed, current, axis))
+    return max(shares, key=lambda item: max(item.speed, item.current))
+
+
+def _largest(variant: Variant, record: Record, place: int) -> tuple[float, float]:
+    axis = AXES[place]
+    assert record.commanded is not None
+    assert record.command is not None
+    # A servo cycle's jump is no speed that a limit is meant for: means over 10 ms.
+    window = round(0.01 * record.timing.servo_hz)
+    path = record.reading[:: record.timing.servo_divider // record.timing.encoder_divider, place]
+    moved = np.abs(path[window:] - path[:-window]) if len(path) > window else np.zeros(1)
+    limit = variant.i_variable(axis, 'Ixx16') * MILLISECONDS
+    speed = float(moved.max()) * record.timing.servo_hz / window / limit
+    largest = float(np.max(np.abs(record.command[:, place])))
+    return speed, largest / places.peak_current(variant, axis)
