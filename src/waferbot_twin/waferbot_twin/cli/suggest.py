@@ -5,9 +5,9 @@ Suggest the experiment that tells causes apart which the logs at hand cannot sep
   waferbot suggest REPORT --out DIR
   waferbot suggest --rivals coulomb_friction:x_rotate viscous_friction:x_rotate,damping=0.3 --out DIR
 
-REPORT is the folder of a diagnosis. Every experiment of the library and some designed ones are simulated
-with each of the causes in the machine; the best is written to DIR/experiment.yaml, which waferbot run and
-waferbot synthesize take.
+REPORT is the folder of a diagnosis. Every experiment of the library and some designed ones are
+simulated with each of the causes in the machine; the best is written to DIR/experiment.yaml, which
+waferbot run and waferbot synthesize take.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+
+SHOWN = 12
+"""Experiments that are printed; all are in the report."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -56,7 +59,7 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
-    from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
+    from waferbot_twin.suggestion.report import as_dict, remainder, sentence, table_rows, write
     from waferbot_twin.suggestion.rivals import named, of_report, read_report
     from waferbot_twin.suggestion.separation import Machine
     from waferbot_twin.suggestion.suggest import suggest
@@ -91,12 +94,12 @@ def execute(options: argparse.Namespace) -> int:
         print_json(as_dict(found))
         return 0
     table = new_table(
-        'experiment', '2 ln L', 'x detectable', 's', 'speed [%]', 'current [%]', ''
-    )  # fmt: skip
-    table.columns[-1].justify, table.columns[-1].no_wrap = 'left', False
-    for row in table_rows(found):
+        'experiment', '2 ln L', 'x detectable', 'length [s]', 'speed [%]', 'current [%]'
+    )
+    for row in table_rows(found)[:SHOWN]:
         table.add_row(*row)
     result_console.print(table)
+    print(remainder(found, SHOWN))
     print(sentence(found))
     if options.out is not None and found.best is not None:
         say(f'experiment: {options.out / "experiment.yaml"}')

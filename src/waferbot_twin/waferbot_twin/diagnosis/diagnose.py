@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.from_recording import record_of_recording
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
@@ -43,6 +44,15 @@ UNEXPLAINED_FLOORS = 5.0
 
 
 @dataclass(frozen=True)
+class Alike:
+    """A cause that explains the logs as well: how much less likely it is, and how alike it looks."""
+
+    cause: Cause
+    behind: float
+    correlation: float
+
+
+@dataclass(frozen=True)
 class FoundCause:
     """A cause with its evidence: standard errors, gain, and what it cannot be told from."""
 
@@ -51,7 +61,12 @@ class FoundCause:
     standard_error: dict[str, float]
     delta_bic: float
     confidence: float
-    cannot_tell_from: tuple[str, ...]
+    alike: tuple[Alike, ...]
+
+    @property
+    def cannot_tell_from(self) -> tuple[str, ...]:
+        """Names of the causes that explain the logs as well."""
+        return tuple(item.cause.name for item in self.alike)
 
 
 @dataclass
@@ -216,10 +231,23 @@ def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
                 own,
                 float(found.gains.get(cause.name, 0.0)),
                 _confidence(rivals),
-                tuple(item.cause.name for item in rivals if item.behind < TELLS_APART),
+                tuple(_alike(problem, found, cause, rivals)),
             )
         )
     return sorted(result, key=lambda item: -item.delta_bic)
+
+
+def _alike(
+    problem: Problem, found: Search, cause: Cause, rivals: Sequence[Rival]
+) -> Iterator[Alike]:
+    """Give the rivals of a cause that the logs cannot tell from it."""
+    for item in rivals:
+        if item.behind < TELLS_APART:
+            try:
+                correlation = likeness(problem, found.found, cause, item.cause)
+            except UserError:
+                correlation = math.nan
+            yield Alike(item.cause, item.behind, correlation)
 
 
 def _confidence(rivals: Sequence[Rival]) -> float:

@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from waferbot_twin.cli.console import finite, significant
-from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
+from waferbot_twin.diagnosis.diagnose import Alike, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import UNITS
@@ -42,8 +42,8 @@ def sentence(diagnosis: Diagnosis) -> str:
             for item in found.parameters
         )
         text = f'{cause.effect.name} on {TITLES[cause.axis]} ({values}; {_sure(found)})'
-        if found.cannot_tell_from:
-            text += f', which this data cannot tell from {", ".join(found.cannot_tell_from)}'
+        if found.alike:
+            text += f', which this data cannot tell from {", ".join(map(_alike, found.alike))}'
         parts.append(text)
     if not parts and not diagnosis.unexplained_where:
         return 'Nothing significant is wrong: the model explains the logs.'
@@ -65,6 +65,10 @@ def sentence(diagnosis: Diagnosis) -> str:
     return ' '.join(lines)
 
 
+def _alike(item: Alike) -> str:
+    return f'{item.cause.name} (correlation of their signatures {item.correlation:.3f})'
+
+
 def _sure(found: FoundCause) -> str:
     if found.confidence > 0.99:
         return 'beyond doubt'
@@ -77,6 +81,7 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the diagnosis as plain values, as `report.json` has them (schema 1)."""
     return {
         'schema': SCHEMA,
+        'model': diagnosis.nominal.name,
         'verdict': diagnosis.verdict,
         'sentence': sentence(diagnosis),
         'causes': [_cause(found) for found in diagnosis.causes],
@@ -114,6 +119,16 @@ def _cause(found: FoundCause) -> dict[str, Any]:
         'confidence': found.confidence,
         'delta_bic': found.delta_bic,
         'cannot_tell_from': list(found.cannot_tell_from),
+        'rivals': [
+            {
+                'effect': item.cause.effect.name,
+                'axis': item.cause.axis,
+                'values': item.cause.values,
+                'behind': item.behind,
+                'correlation': item.correlation,
+            }
+            for item in found.alike
+        ],
     }
 
 
@@ -212,7 +227,7 @@ def _cause_table(diagnosis: Diagnosis) -> str:
             f'<tr><td>{found.cause.effect.name}<br><small>{html.escape(found.cause.effect.summary)}'
             f'</small></td><td>{TITLES[found.cause.axis]}</td><td>{values}</td>'
             f'<td>{found.delta_bic:.0f}</td><td>{100 * found.confidence:.0f} %</td>'
-            f'<td>{", ".join(found.cannot_tell_from) or "-"}</td></tr>'
+            f'<td>{"<br>".join(map(_alike, found.alike)) or "-"}</td></tr>'
         )
     return (
         '<table><tr><th>effect</th><th>axis</th><th>parameters (95 %)</th><th>gain in BIC</th>'

@@ -152,3 +152,11 @@ def _result(
         tuple(filters),
         tuple(deviations),
     )
+
+
+def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:
+    """Return channels (N,), each filtered by what a fit found for it, in its standard deviations."""
+    return [
+        lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
+        for channel, taps, deviation in zip(channels, fit.filters, fit.deviations, strict=True)
+    ]

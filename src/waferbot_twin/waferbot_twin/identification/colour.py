@@ -18,9 +18,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
-from waferbot_twin.diagnosis.whitening import Fit
+from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
 
 Array = NDArray[np.float64]
 
@@ -70,10 +69,9 @@ class Whitening:
 
     def __call__(self, channels: Sequence[Array]) -> list[Array]:
         """Return the channels, each whitened."""
-        found = []
-        for channel, taps, deviation, power in zip(
-            channels, self._fit.filters, self._fit.deviations, self._powers, strict=True
-        ):
-            white = lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
-            found.append(white if power is None else flattened(white, power))
-        return found
+        return [
+            white if power is None else flattened(white, power)
+            for white, power in zip(
+                prediction_errors(self._fit, channels), self._powers, strict=True
+            )
+        ]

@@ -76,24 +76,26 @@ def as_dict(found: Suggestion) -> dict[str, Any]:
 
 
 def table_rows(found: Suggestion) -> list[tuple[str, ...]]:
-    """Return experiment, evidence, times the detectable, duration, speed, current, remark, as text."""
-    rows: list[tuple[str, ...]] = []
-    for item in as_dict(found)['experiments']:
-        known = not item['impossible'] or item['speed_share'] is not None
-        rows.append(
-            (
-                item['experiment'],
-                significant(item['evidence'], 3) if known else '-',
-                significant(item['detectable'], 3) if known else '-',
-                f'{item["duration_s"]:.1f}',
-                *(
-                    '-' if item[key] is None else f'{100.0 * item[key]:.0f}'
-                    for key in ('speed_share', 'current_share')
-                ),
-                item['impossible'] or '',
-            )
+    """Return label, evidence, times the detectable, length, speed and current of what can be run."""
+    return [
+        (
+            item.candidate.label,
+            significant(item.evidence, 3),
+            significant(item.detectable, 3),
+            f'{item.candidate.experiment.duration_s:.1f}',
+            f'{100.0 * max(one.load.speed for one in item.separations):.0f}',
+            f'{100.0 * max(one.load.current for one in item.separations):.0f}',
         )
-    return rows
+        for item in found.rated
+        if not item.impossible
+    ]
+
+
+def remainder(found: Suggestion, shown: int) -> str:
+    """Return how many experiments a table of so many does not show, and why."""
+    impossible = sum(bool(item.impossible) for item in found.rated)
+    less = max(0, len(found.rated) - impossible - shown)
+    return f'{less} others give less, {impossible} are beyond what the machine can do'
 
 
 def write(found: Suggestion, folder: Path) -> None:

@@ -4,18 +4,18 @@ How well an experiment would tell two causes apart, found by simulating it.
 
 The machine is simulated with cause A, once with noise, which gives its colour and size in every
 signal, and once without, which is what an endless repetition would show. To that, cause B is fitted as
-well as it can be. What is left then, white and in units of the noise, is what tells the two apart. With
-S_c the sum of its squares in channel c of N_c samples, the ratio of their likelihoods is expected to be
-
-    2 ln(L_A / L_B) = sum over channels of N_c ln(1 + S_c / N_c) .
+well as it can be. What is left then is laid on the noise, and the likelihood of that is compared with
+that of the noise alone, both as the diagnosis judges: with autoregressions of their own, which swallow
+a part of what is left. So 2 ln L is what a diagnosis of such a log can be expected to find.
 
 The other way round, with B in the machine, it is another number; only the smaller one can be relied on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -27,14 +27,20 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
-from waferbot_twin.identification.colour import Whitening
 from waferbot_twin.identification.solving import least_squares
-from waferbot_twin.synthesis import noise
+from waferbot_twin.synthesis import with_noise
+
+Channels = dict[str, list[Array]]
+"""Residuals of the channels of every block."""
+
+ROUNDS = 2
+"""How often the rival is fitted, each time with the whitening of what the last one left."""
 
 STEP = 0.02
 """Step of the difference quotients of a fit, in shares of a parameter's typical value."""
@@ -54,8 +60,8 @@ class Machine:
     """
     What is to be found out about: a model, with what is known to be in it, and the noise of its logs.
 
-    `variant` has room for the causes (`effects.host`); `level` and `seed` are those of `synthesis.noise`,
-    `without` names signals (as `synthesis.LEFT_OUT`) that its logs do not have.
+    `variant` has room for the causes (`effects.host`), `level` is that of `synthesis.noise`, `without`
+    names signals (as `synthesis.LEFT_OUT`) that its logs do not have.
     """
 
     variant: Variant
@@ -84,7 +90,7 @@ class Machine:
         variant = apply_all(self.variant, causes)
         if noisy:
             random = np.random.default_rng(self.seed)
-            variant = variant.with_overlay(noise(self.variant, self.level, self.seed, random))
+            variant = with_noise(variant, self.variant, self.level, random)
         return self.twin(variant, experiment).advance(self.timing.ticks(experiment.duration_s))
 
     def twin(self, variant: Variant, experiment: Experiment) -> Twin:
@@ -136,34 +142,47 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
     ideal = machine.run((true,), experiment, noisy=False)
     shaken = evaluate(Problem(machine.variant, [machine.record(noisy)]), (true,))
     problem = Problem(machine.variant, [machine.record(ideal)])
-    whitening = {
-        block: Whitening(fit, shaken.residuals[block]) for block, fit in shaken.fits.items()
-    }
+    blocks = tuple(shaken.fits)
 
-    def left(cause: Cause) -> list[Array]:
+    def left(cause: Cause) -> Channels:
         variant = apply_all(machine.variant, (cause,))
-        return [
-            part
-            for block, white in whitening.items()
-            for part in white(problem.residuals(variant, block))
-        ]
+        return {block: problem.residuals(variant, block) for block in blocks}
 
     own = left(true)
-    parameters = parameters_of(problem, rival)
+    judged = shaken.fits
+    for _ in range(ROUNDS):
+        difference = partial(_difference, judged, left, own)
+        rival = _closest(difference, rival, problem)
+        rest = left(rival)
+        judged = problem.judge(
+            {
+                block: [
+                    noise + one - other
+                    for noise, one, other in zip(
+                        shaken.residuals[block], rest[block], own[block], strict=True
+                    )
+                ]
+                for block in blocks
+            }
+        )
+    likely = sum(fit.log_likelihood for fit in judged.values())
+    evidence = 2.0 * (shaken.log_likelihood - likely)
+    return Separation(max(evidence, 0.0), rival, shaken.samples, load(machine.variant, ideal))
 
-    def difference(scaled: Array) -> list[Array]:
-        return [
-            one - other
-            for one, other in zip(left(_at(rival, parameters, scaled)), own, strict=True)
+
+def _difference(
+    fits: Mapping[str, Fit], left: Callable[[Cause], Channels], other: Channels, cause: Cause
+) -> Array:
+    """Return what a cause leaves less `other`, whitened, all channels one after another."""
+    one = left(cause)
+    return np.concatenate(
+        [
+            white
+            for block, fit in fits.items()
+            for white in prediction_errors(
+                fit, [a - b for a, b in zip(one[block], other[block], strict=True)]
+            )
         ]
-
-    best = _closest(difference, rival, parameters)
-    rest = difference(best)
-    evidence = sum(
-        len(part) * np.log1p(float(part @ part) / len(part)) for part in rest if len(part)
-    )
-    return Separation(
-        float(evidence), _at(rival, parameters, best), shaken.samples, load(machine.variant, ideal)
     )
 
 
@@ -186,19 +205,18 @@ def _at(cause: Cause, parameters: Sequence[Parameter], scaled: Array) -> Cause:
     return Cause(cause.effect, cause.axis, values)
 
 
-def _closest(
-    difference: Callable[[Array], list[Array]], cause: Cause, parameters: Sequence[Parameter]
-) -> Array:
-    """Return the scaled values with the least squares of `difference`, from those of the cause on."""
+def _closest(difference: Callable[[Cause], Array], rival: Cause, problem: Problem) -> Cause:
+    """Return the rival with the least squares of `difference`, from its values on."""
+    parameters = parameters_of(problem, rival)
     scales = _scales(parameters)
     low, high = (
         np.array([getattr(item, end) for item in parameters]) / scales for end in ('low', 'high')
     )
-    start = np.array([cause.values[item.name] for item in parameters]) / scales
+    start = np.array([rival.values[item.name] for item in parameters]) / scales
     steps = np.maximum(STEP, np.array([item.resolution for item in parameters]) / scales)
 
     def residual(scaled: Array) -> Array:
-        return np.concatenate(difference(scaled))
+        return difference(_at(rival, parameters, scaled))
 
     def derivative(scaled: Array) -> Array:
         here = residual(scaled)
@@ -210,7 +228,7 @@ def _closest(
         return np.column_stack(columns)
 
     best, _ = least_squares(residual, derivative, start, (low, high), EVALUATIONS, TOLERANCE)
-    return best
+    return _at(rival, parameters, best)
 
 
 def load(variant: Variant, signals: Signals) -> Load:

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Experiments that tell causes apart: what is tried, what it is worth, what is said."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.likeness import likeness
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+from waferbot_twin.suggestion.candidates import Candidate, changed, designed, strokes
+from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
+from waferbot_twin.suggestion.rivals import named, of_report, read_report
+from waferbot_twin.suggestion.separation import Load, Machine, Separation, separation
+from waferbot_twin.suggestion.suggest import Rated, Suggestion, suggest
+
+TIMING = Timing()
+
+
+@pytest.fixture(scope='module')
+def rigid():
+    return host(Variant.of(load_model('rigid')))
+
+
+def cause(variant, name, axis, **values):
+    effect = find(name)
+    return Cause(effect, axis, effect.complete(variant, axis, values))
+
+
+# What is tried
+
+
+@pytest.mark.parametrize('axis', ['y_linear', 'x_rotate', 'y_rotate'])
+def test_designed_motions_stay_within_stroke_speed_and_acceleration(rigid, axis):
+    parameters = servo_parameters(rigid.pmac)
+    place = ('y_linear', 'x_rotate', 'y_rotate').index(axis)
+    own = parameters[0]
+    stroke = strokes(rigid, TIMING)[axis]
+    candidates = designed(rigid, [axis], TIMING)
+    everything = [*candidates, *(one for item in candidates for one in changed(item))]
+    assert len({item.label for item in candidates}) == len(candidates)
+    for item in everything:
+        path = commanded_positions(item.experiment, parameters, TIMING.servo_hz)[:, place]
+        assert np.ptp(path) <= 1.01 * stroke * own['counts_per_unit'][place]
+        assert item.experiment.duration_s <= 5.0
+        if item.design.kind == 'constant_velocity':
+            speed = np.abs(np.diff(path)).max() * TIMING.servo_hz / 1000.0
+            named_speed = next(v for k, v in item.design.keys.items() if k.startswith('speed'))
+            assert speed == pytest.approx(
+                named_speed * own['counts_per_unit'][place] / 1000.0, rel=1e-3
+            )
+            assert speed <= 1.3 * own['Ixx16'][place]
+
+
+def test_strokes_are_those_of_the_library(rigid):
+    found = strokes(rigid, TIMING)
+    assert found['y_linear'] == pytest.approx(0.3, rel=1e-3)
+    assert found['x_rotate'] == pytest.approx(math.pi / 2, rel=1e-3)
+    assert found['y_rotate'] == pytest.approx(math.pi, rel=1e-3)
+
+
+def test_an_experiment_of_the_library_has_no_other_sizes():
+    assert changed(Candidate('step', load_experiment('step'))) == []
+
+
+# What is said
+
+
+def rated(label, *evidence, impossible=''):
+    separations = tuple(
+        Separation(value, None, 2000, Load(0.5, 0.3, 'x_rotate')) for value in evidence
+    )
+    return Rated(Candidate(label, load_experiment('step')), separations, impossible)
+
+
+def suggestion(rigid, *items, instead=()):
+    pair = (
+        cause(rigid, 'coulomb_friction', 'x_rotate'),
+        cause(rigid, 'viscous_friction', 'x_rotate'),
+    )
+    return Suggestion(pair, items, instead)
+
+
+def test_the_best_is_the_one_whose_smaller_evidence_is_largest(rigid, tmp_path):
+    one_sided, both = rated('one-sided', 900.0, 20.0), rated('both', 120.0, 90.0)
+    found = suggestion(rigid, both, one_sided, rated('no', impossible='unstable'))
+    assert found.best is both
+    assert 'both tells' in sentence(found)
+    assert [row[0] for row in table_rows(found)] == ['both', 'one-sided']
+    assert both.detectable == pytest.approx(math.sqrt(90.0 / math.log(2000)))
+    write(found, tmp_path)
+    assert load_experiment(tmp_path / 'experiment.yaml').name == 'step'
+    report = json.loads((tmp_path / 'report.json').read_text('utf-8'))
+    assert report['experiments'][2]['impossible'] == 'unstable'
+
+
+def test_a_special_case_and_an_equivalent_pair_are_told_from_one_another(rigid):
+    nested = suggestion(rigid, rated('a', 0.1, 5000.0), rated('b', 0.0, 3.0))
+    assert nested.best is None
+    assert [item.effect.name for item in nested.special_case] == [
+        'coulomb_friction',
+        'viscous_friction',
+    ]
+    assert 'take the simpler one' in sentence(nested)
+    same = suggestion(rigid, rated('a', 0.1, 5.0), rated('b', 0.0, 3.0))
+    assert same.special_case is None
+    assert 'equivalent for every motion' in sentence(same)
+    assert 'scales' in sentence(same)
+    other = suggestion(rigid, rated('a', 0.1, 5.0), instead=('log voltages as well',))
+    assert 'Instead, log voltages' in sentence(other)
+    assert as_dict(same)['best'] is None
+
+
+def test_rivals_by_name_and_from_a_report(rigid, tmp_path):
+    group = named(['coulomb_friction:x_rotate,friction=2', 'viscous_friction:x_rotate'], rigid)
+    assert [item.name for item in group.rivals] == [
+        'coulomb_friction:x_rotate',
+        'viscous_friction:x_rotate',
+    ]
+    assert group.rivals[0].values == {'friction': 2.0}
+    row = {
+        'effect': 'coulomb_friction',
+        'axis': 'x_rotate',
+        'parameters': {'friction': {'value': 1.5}},
+        'rivals': [{'effect': 'viscous_friction', 'axis': 'x_rotate', 'values': {'damping': 0.2}}],
+    }
+    known = {
+        'effect': 'wrong_bias',
+        'axis': 'y_linear',
+        'parameters': {'difference': {'value': 20.0}},
+        'rivals': [],
+    }
+    (tmp_path / 'report.json').write_text(json.dumps({'causes': [known, row]}), 'utf-8')
+    group = of_report(read_report(tmp_path), rigid, None)
+    assert [item.values for item in group.rivals] == [{'friction': 1.5}, {'damping': 0.2}]
+    assert [item.name for item in group.others] == ['wrong_bias:y_linear']
+    with pytest.raises(UserError, match="did you mean 'coulomb_friction:x_rotate'"):
+        of_report(read_report(tmp_path), rigid, 'coulomb_friction:y_rotate')
+    with pytest.raises(UserError, match='no cause that could not be told'):
+        of_report({'causes': [known]}, rigid, None)
+    with pytest.raises(UserError, match='give the axis'):
+        named(['coulomb_friction', 'viscous_friction:x_rotate'], rigid)
+    with pytest.raises(UserError, match='no report'):
+        read_report(tmp_path / 'other')
+
+
+# What it is worth
+
+
+def short(axis, motion):
+    return load_experiment(
+        f'{{name: short, duration_s: 0.4, motion: {{{axis}: {{start_s: 0.05, {motion}}}}}}}'
+    )
+
+
+@pytest.mark.slow
+def test_force_constant_and_inertia_without_other_forces_are_equivalent(rigid):
+    """With Y-Rotate upright and without friction only their ratio counts, however it moves."""
+    mechanism = Machine(rigid, 1.0, 3, TIMING, without=('currents',))
+    weak = cause(rigid, 'force_constant', 'y_rotate', ratio=0.95)
+    heavy = cause(rigid, 'wrong_inertia', 'y_rotate', inertia=0.01)
+    whole = 0.12665 + 10.025 * 0.11081**2 + 48.0**2 * (1.9092e-5 + 1.3e-5)
+    for motion in (
+        'kind: step, amplitude_rad: 3.0e-3',
+        'kind: swept_sine, first_frequency_hz: 2, last_frequency_hz: 40, amplitude_rad: 1.0e-3',
+    ):
+        found = separation(mechanism, weak, heavy, short('y_rotate', motion))
+        assert found.evidence < 1.0
+        assert found.refitted.values['inertia'] == pytest.approx(whole / 0.95 - whole, rel=0.02)
+    # The windings know the back-EMF, and a constant force looks otherwise.
+    logged = Machine(rigid, 1.0, 3, TIMING)
+    fast = short('y_rotate', 'kind: step, amplitude_rad: 6.0e-3')
+    assert separation(logged, weak, heavy, fast).evidence > 10.0
+    pushed = cause(rigid, 'constant_force', 'y_rotate')
+    assert separation(mechanism, weak, pushed, fast).evidence > 100.0
+
+
+@pytest.mark.slow
+def test_what_is_expected_is_what_a_noisy_log_then_gives(rigid):
+    """Both causes fitted to a noisy log, against what was expected of it."""
+    viscous = cause(rigid, 'viscous_friction', 'x_rotate')
+    coulomb = cause(rigid, 'coulomb_friction', 'x_rotate', friction=0.1)
+    motion = short('x_rotate', 'kind: step, amplitude_counts: 600')
+    for seed in (40, 41, 42):
+        machine = Machine(rigid, 1.0, seed, TIMING)
+        expected = separation(machine, viscous, coulomb, motion).evidence
+        log = machine.record(machine.run((viscous,), motion, noisy=True))
+        problem = Problem(rigid, [log])
+        own, rival = (fit_causes(problem, (one,)) for one in (viscous, coulomb))
+        measured = 2.0 * (own.log_likelihood - rival.log_likelihood)
+        print(f'seed {seed}: expected {expected:.1f}, measured {measured:.1f}')
+        assert expected > 50.0
+        # A difference of likelihoods of mean E has the variance 4 E; the colour is estimated, too.
+        assert measured == pytest.approx(expected, abs=8.0 * math.sqrt(expected), rel=0.2)
+    assert likeness(problem, own, viscous, viscous) == pytest.approx(1.0)
+    alike = likeness(problem, own, viscous, rival.causes[0])
+    assert 0.3 < alike < 0.9999
+
+
+def test_the_same_cause_twice_is_refused(rigid):
+    machine = Machine(rigid, 1.0, 0, TIMING)
+    one = cause(rigid, 'coulomb_friction', 'x_rotate')
+    with pytest.raises(UserError, match='two different causes'):
+        suggest(machine, [one, one], lambda done, total: None)
