@@ -160,40 +160,90 @@ def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
 def _take_best(
     finding: Problem, judging: Problem, state: Search, fitted: Sequence[Hypothesis]
 ) -> bool:
-    """Take the best fitted hypothesis that pays for itself and is confirmed, if there is one."""
-    base = state.found
+    """
+    Take the best fitted hypothesis that pays for itself and is confirmed, if there is one.
+
+    The best is the one that explains the logs for finding best; of those that do so as well, the one
+    that explains those for judging best.
+    """
+    taken: Confirmed | None = None
     for item in fitted:
-        needed = price(item, base, state.tried)
-        if 2.0 * (item.log_likelihood - base.log_likelihood) < needed:
+        if taken is not None and _behind(item, taken.found) > TELLS_APART:
+            break
+        judged = _confirmed(finding, judging, state, item)
+        if judged is None:
             continue
-        try:
-            judged = evaluate(judging, item.causes)
-            in_finding = caused_by_command(finding, base, item)
-            in_judging = caused_by_command(judging, state.judged, item)
-        except UserError:
-            continue
-        if in_finding.gain < needed:
-            continue
-        if in_judging.expected < TELLS:
-            # That motion does not show the effect: what was found must be beyond doubt by itself.
-            if in_finding.gain < needed + TELLS:
-                continue
-        else:
-            confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
-            if confirmed < max(CONFIRMS, SHARE * in_judging.expected):
-                continue
-            if in_judging.gain < CONFIRMS:
-                continue
-        name = item.causes[-1].name
-        state.gains[name] = base.information_criterion - item.information_criterion
-        state.rivals[name] = [
-            Rival(other.causes[-1], other.information_criterion - item.information_criterion)
-            for other in fitted
-            if other is not item
-        ]
-        state.found, state.judged = item, judged
-        return True
-    return False
+        one = Confirmed(item, judged)
+        if taken is None or one.information_criterion < taken.information_criterion:
+            taken = one
+    if taken is None:
+        return False
+    name = taken.found.causes[-1].name
+    state.gains[name] = -_behind(taken.found, state.found)
+    state.rivals[name] = [
+        Rival(item.causes[-1], behind)
+        for item in fitted
+        if item is not taken.found
+        and math.isfinite(behind := _behind_in_all(judging, item, taken))
+    ]
+    state.found, state.judged = taken.found, taken.judged
+    return True
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """A hypothesis in the logs for finding, and as it stands in those for judging."""
+
+    found: Hypothesis
+    judged: Hypothesis
+
+    @property
+    def information_criterion(self) -> float:
+        """Schwarz' criterion with both kinds of logs."""
+        return self.found.information_criterion - 2.0 * self.judged.log_likelihood
+
+
+def _behind(item: Hypothesis, best: Hypothesis) -> float:
+    return item.information_criterion - best.information_criterion
+
+
+def _behind_in_all(judging: Problem, item: Hypothesis, best: Confirmed) -> float:
+    """Return by how much a rival explains all logs less, in 2 ln L; infinite if it blows up."""
+    try:
+        judged = evaluate(judging, item.causes)
+    except UserError:
+        return math.inf
+    return Confirmed(item, judged).information_criterion - best.information_criterion
+
+
+def _confirmed(
+    finding: Problem, judging: Problem, state: Search, item: Hypothesis
+) -> Hypothesis | None:
+    """
+    Return a hypothesis as it stands in the logs for judging, None if it is not to be believed.
+
+    What the command causes has to pay for the hypothesis in all logs together: a motion may be so slow
+    that noise decides when an axis slides.
+    """
+    needed = price(item, state.found, state.tried)
+    if 2.0 * (item.log_likelihood - state.found.log_likelihood) < needed:
+        return None
+    try:
+        judged = evaluate(judging, item.causes)
+        in_finding = caused_by_command(finding, state.found, item)
+        in_judging = caused_by_command(judging, state.judged, judged)
+    except UserError:
+        return None
+    if in_judging.expected < TELLS:
+        # That motion does not show the effect: what was found must be beyond doubt by itself.
+        return judged if in_finding.gain >= needed + TELLS else None
+    confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
+    sure = (
+        in_finding.gain + in_judging.gain >= needed
+        and in_judging.gain >= CONFIRMS
+        and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
+    )
+    return judged if sure else None
 
 
 @dataclass(frozen=True)
@@ -213,7 +263,11 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     leaves over: noise with a large effect in it has another colour and variance, and the logarithm of
     its likelihood falls much less than by the square of the effect.
 
-    Infinite if the logs do not say what was commanded, so that this cannot be asked.
+    Blocks whose output follows from their input to the last bit need no such protection, whatever
+    moved them: what they gain counts as it is.
+
+    Both hypotheses are those of the logs of `problem`. Infinite if these do not say what was commanded,
+    so that this cannot be asked.
     """
     ideal = problem.ideal(more.causes)
     if ideal is None:
@@ -226,9 +280,14 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     )
     shape = np.array([item.shape for item in parameters_of(problem, cause)])
     change[shape] = 0.0
-    shown = {block: matrix for block, matrix in own.items() if matrix.any()}
+    exact = {block for block in base.fits if not any(problem.orders(block))}
+    sure = sum(
+        2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)
+        for block in sorted(exact)
+    )
+    shown = {block: matrix for block, matrix in own.items() if block not in exact and matrix.any()}
     if not shown:
-        return ByCommand(0.0, 0.0)
+        return ByCommand(sure, sure)
     estimate = fit_jointly(problem, base.residuals, shown)
     noise, with_cause = {}, {}
     for block, matrix in shown.items():
@@ -239,7 +298,8 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
         with_cause[block] = [left - part for left, part in zip(noise[block], caused, strict=True)]
     quiet = _log_likelihood(problem, noise)
     before = sum(base.fits[block].log_likelihood for block in shown)
-    return ByCommand(2.0 * (quiet - before), 2.0 * (quiet - _log_likelihood(problem, with_cause)))
+    expected = 2.0 * (quiet - _log_likelihood(problem, with_cause))
+    return ByCommand(2.0 * (quiet - before) + sure, expected + sure)
 
 
 def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:
