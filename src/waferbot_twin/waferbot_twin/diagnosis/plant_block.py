@@ -13,6 +13,10 @@ innovation e, in counts, is the block's residual. A force F that the model lacks
 c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above what
 moves the machine. Whitening takes out what w and z were; all models that are compared have the same.
 
+What moves together as long as nothing gives is corrected together, by its first encoder: a carriage with
+its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore held as
+the rigid one is, and no correction stretches a spring.
+
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
 model's sensors say; positions are seen as its encoders see them, without their noise.
 """
@@ -27,6 +31,7 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, plant
+from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
@@ -52,6 +57,7 @@ class PlantBlock:
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
         self.record = record
+        self._rigid = variant.rigid.placing
         timing = record.timing
         self.averaged = timing.servo_divider // timing.encoder_divider
         self.first_cycle = round(max(SETTLING_S, record.judged_from_s) * timing.servo_hz)
@@ -76,16 +82,11 @@ class PlantBlock:
         state = machine.resting_state(parameters)
         p = parameters[0]
         step_s = record.timing.encoder_divider * record.timing.tick_s
-        gains = np.zeros((2, len(ENCODERS)))
-        held = set()
-        for place in self._places:
-            coordinate = int(p['encoder_coordinate'][place])
-            if coordinate in held:
-                continue
-            held.add(coordinate)
-            gains[0, place] = 2.0 * OBSERVER_DAMPING * OBSERVER_RAD_S * step_s
-            gains[1, place] = OBSERVER_RAD_S**2 * step_s
-        self._stand_where_measured(state, parameters, step_s)
+        together = self._together(machine, p)
+        gains = np.zeros((2, *together.shape))
+        gains[0] = 2.0 * OBSERVER_DAMPING * OBSERVER_RAD_S * step_s * together
+        gains[1] = OBSERVER_RAD_S**2 * step_s * together
+        self._stand_where_measured(state, parameters, together, step_s)
         innovation = np.zeros_like(record.reading)
         blown_up = _drive(
             state,
@@ -106,15 +107,36 @@ class PlantBlock:
         averaged = innovation[: whole * self.averaged].reshape(whole, self.averaged, -1)
         return [averaged[self.first_cycle :, :, place].mean(axis=1) for place in self._places]
 
+    def _together(self, machine: Machine, p: np.void) -> Array:
+        """
+        Return how far each coordinate of a machine goes with each encoder's, (encoders, coordinates).
+
+        As if nothing gave; zero for an encoder whose coordinate goes with that of an earlier one.
+        """
+        together = np.zeros((len(ENCODERS), len(machine.coordinates)))
+        moves: list[tuple[int | str, float]] = [
+            self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
+        ]
+        held = set()
+        for encoder in self._places:
+            what, own = moves[int(p['encoder_coordinate'][encoder])]
+            if what in held:
+                continue
+            held.add(what)
+            for place, (other, ratio) in enumerate(moves):
+                if other == what:
+                    together[encoder, place] = ratio / own
+        return together
+
     def _stand_where_measured(
-        self, state: np.ndarray, parameters: np.ndarray, step_s: float
+        self, state: np.ndarray, parameters: np.ndarray, together: Array, step_s: float
     ) -> None:
         """Begin with the position and speed of the first readings."""
         s, p = state[0], parameters[0]
         reading = self.record.reading
         for place in self._places:
             rows = np.flatnonzero(np.isfinite(reading[:200, place]))
-            if len(rows) < 2:
+            if len(rows) < 2 or not together[place].any():
                 continue
             few = rows[:40]
             slope, start = np.polyfit(few * step_s, reading[few, place], 1)
@@ -122,8 +144,8 @@ class PlantBlock:
             coordinate = p['encoder_coordinate'][place]
             if abs(slope) * (few[-1] - few[0]) * step_s < 3.0:  # it stands
                 slope, start = 0.0, float(np.mean(reading[few, place]))
-            s['position'][coordinate] = start / per_unit
-            s['velocity'][coordinate] = slope / per_unit
+            s['position'] += together[place] * (start / per_unit - s['position'][coordinate])
+            s['velocity'] += together[place] * (slope / per_unit - s['velocity'][coordinate])
         encoders.fill_readings(s, p)
 
 
@@ -135,7 +157,8 @@ def _drive(
     Drive the plant by measured line currents (n, 6); fill `innovation` (n / divider, 4), counts.
 
     `reading` likewise: published counts, NaN where missing; `half_count` is added to them, because
-    counts are rounded down. Returns the coordinate for which the simulation blew up, or -1.
+    counts are rounded down; `gains` (2, encoders, coordinates) are those of the observer, for position
+    and velocity. Returns the coordinate for which the simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -164,9 +187,9 @@ def _drive(
                 if error != error:
                     continue
                 innovation[row, encoder] = error
-                coordinate = p['encoder_coordinate'][encoder]
-                s['position'][coordinate] += gains[0, encoder] * error / per_unit
-                s['velocity'][coordinate] += gains[1, encoder] * error / per_unit
+                for coordinate in range(gains.shape[2]):
+                    s['position'][coordinate] += gains[0, encoder, coordinate] * error / per_unit
+                    s['velocity'][coordinate] += gains[1, encoder, coordinate] * error / per_unit
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
         for motor in range(motors.MOTORS):

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant driven by a log: what its observer must not do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('name', 'experiment'),
+    [
+        ('cable_compliance:y_linear', 'swept_sine_y_linear'),  # gently: a cable can go slack
+        ('payload_bearing_compliance:y_linear', 'step'),
+        ('bearing_moment_compliance:x_rotate', 'step'),
+        ('gearbox_compliance:y_rotate', 'step'),
+        ('belt_compliance:y_rotate', 'step'),
+    ],
+)
+def test_what_gives_next_to_nothing_is_seen_as_what_does_not_give(name, experiment):
+    """
+    Two encoders of a rigid drive, or a carriage and its counterweight, are held as one.
+
+    If the model with a stiff connection were held by more encoders, or pulled at on one side, it would
+    explain any log better or worse than the rigid one, whatever gives.
+    """
+    nominal = host(Variant.of(load_model('rigid')))
+    timing = Timing()
+    twin = Twin(compact(nominal).build(timing), nominal.pmac, nominal.copley, timing, nominal.name)
+    motion = load_experiment(experiment)
+    twin.commanded = commanded_positions(motion, twin.servo_parameters, timing.servo_hz)
+    record = record_of_signals('log', twin.advance(timing.ticks(0.3)))
+    block = PlantBlock(record, nominal)
+    effect, axis = find(name.split(':')[0]), name.split(':')[1]
+    (parameter,) = effect.parameters(nominal, axis)
+    stiff = effect.apply(nominal, axis, {parameter.name: 1e-6 * parameter.typical})
+    for rigid, other in zip(block.residuals(nominal), block.residuals(stiff), strict=True):
+        assert np.sqrt(np.mean((other - rigid) ** 2)) < 0.01 * np.sqrt(np.mean(rigid**2))
