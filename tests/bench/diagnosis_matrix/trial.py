@@ -138,12 +138,26 @@ def _run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
     }
     if hidden:
         line['judging_size'] = size(Problem(nominal(model), judging), hidden)
+        line['gain_of_truth'] = [
+            _gain_of_truth(hidden, model, records) for records in (finding, judging)
+        ]
     if through_files:
         report, finding, judging = _through_files(case, drawn, hidden, model, without)
     else:
         diagnosis = diagnose(nominal(model), finding, judging, _silent, 1, without)
         report = json.loads(as_json(as_dict(diagnosis)))
     return line | _compared(case, hidden, report, model, finding, judging)
+
+
+def _gain_of_truth(hidden: Sequence[Cause], model: str, records: Sequence[Record]) -> float:
+    """
+    Return 2 ln L of the true model over the nominal one, each with the noise that it leaves.
+
+    Less than size^2 ln N where the nominal model takes a part of the effect for coloured noise.
+    """
+    problem = Problem(nominal(model), records)
+    true, without = evaluate(problem, tuple(hidden)), evaluate(problem)
+    return float(2.0 * (true.log_likelihood - without.log_likelihood))
 
 
 def _silent(what: str, done: int, total: int) -> None:
