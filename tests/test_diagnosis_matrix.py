@@ -59,8 +59,8 @@ def test_drawn_motions_keep_the_limits_of_the_controller_and_move_every_axis(rig
     assert len(positions) == round(DURATION_S * rate_hz)
     assert (np.ptp(positions, axis=0) > 10.0).all()
     assert (positions[0] == 0.0).all()
-    for axis, motion in enumerate(experiment.motion.values()):
-        if motion['kind'] in ('linear', 'constant_velocity'):
+    for axis, (motion,) in enumerate(experiment.motion.values()):
+        if motion.values['kind'] in ('linear', 'constant_velocity'):
             speed = np.abs(np.diff(positions[:, axis])).max() * rate_hz
             assert speed <= 1e3 * parameters['Ixx16'][0, axis] * (1.0 + 1e-9)
             acceleration = np.abs(np.diff(positions[:, axis], 2)).max() * rate_hz**2
