@@ -85,11 +85,12 @@ def _table(over: str, points: Mapping[str, tuple[float, ...]]) -> Effect:
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         unit = 'rad' if places.rotary(variant, axis) else 'm'
         entry = {
+            'kind': 'table',
             'over': over,
             f'at_{unit}_s' if over == 'velocity' else f'at_{unit}': list(points[axis]),
             places.force_key(variant, axis): [values[name] for name in sorted(values)],
         }
-        return Overlay(places.disturbance(variant, axis, 'table', entry))
+        return Overlay(places.disturbance(variant, axis, f'force_over_{over}', entry))
 
     return Effect(
         f'force_over_{over}', Block.PLANT, f'a force over {over} without a known cause',

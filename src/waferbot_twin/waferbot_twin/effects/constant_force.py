@@ -19,8 +19,8 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    force = {places.force_key(variant, axis): values['force']}
-    return Overlay(places.disturbance(variant, axis, 'constant', force))
+    force = {'kind': 'constant', places.force_key(variant, axis): values['force']}
+    return Overlay(places.disturbance(variant, axis, 'constant_force', force))
 
 
 EFFECT = Effect(

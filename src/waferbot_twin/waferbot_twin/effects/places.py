@@ -206,10 +206,10 @@ def force_key(variant: Variant, axis: str) -> str:
     return 'torque_nm' if rotary(variant, axis) else 'force_n'
 
 
-def disturbance(variant: Variant, axis: str, kind: str, values: dict[str, Any]) -> dict[str, Any]:
-    """Return the part of a description that adds a force from outside to an axis."""
-    entry = {'kind': kind, 'coordinate': coordinate(variant, axis), **values}
-    return {'disturbances': {f'{axis}_{kind}': entry}}
+def disturbance(variant: Variant, axis: str, effect: str, force: dict[str, Any]) -> dict[str, Any]:
+    """Return the part of a description that adds the force of an effect to an axis from outside."""
+    entry = {'coordinate': coordinate(variant, axis), **force}
+    return {'disturbances': {f'{axis}_{effect}': entry}}
 
 
 def tensor_entries(inertia: np.ndarray) -> dict[str, float]:
