@@ -128,6 +128,23 @@ def test_load_dependent_friction_takes_its_share_of_the_motors_force(share: floa
     assert state[0]['velocity'][0] == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_force_from_outside_stands_for_that_of_an_open_motor() -> None:
+    """So is a plant driven by measured currents; with closed terminals it does not count."""
+    friction = {'speed_m_s': [0], 'force_n': [1.0], 'per_motor_force': 0.3}
+    motor = {
+        'coordinate': 'travel', 'winding': 'wye', 'resistance_lead_to_lead_ohm': 1e9,
+        'inductance_lead_to_lead_h': 1e3, 'back_emf_lead_to_lead_v_s_m': 50.0,
+        'electrical_cycle_m': 1e6,
+    }  # fmt: skip
+    for is_open, friction_force in ((1, 1.0 + 0.3 * 20.0), (0, 1.0)):
+        _, parameters, state = slide(friction, motors={'y_linear': motor})
+        state[0]['terminals_open'][0] = is_open
+        state[0]['external_force'][0] = 20.0
+        run(state, parameters, 100, np.zeros(3), np.zeros((100, 1)))
+        expected = (20.0 - friction_force) / MASS * 100 * TICK
+        assert state[0]['velocity'][0] == pytest.approx(expected, rel=1e-4)
+
+
 def lugre(y, pull, stiffness, damping, limit, mass=MASS):
     """Return (x', v', z') of a mass with LuGre friction, as published."""
     _, v, z = y

@@ -104,18 +104,26 @@ def _factor(s, p, friction, place, time):
 
 @compiled
 def _load_part(s, p, friction, mean):
-    """Return mu |F_m|: what the motors' force adds to the table, N or Nm on x."""
+    """
+    Return mu |F_m|: what the motors' force adds to the table, N or Nm on x.
+
+    A motor with open terminals makes no force. What pushes its coordinate from outside then stands for
+    it: that is how a plant is driven by measured currents.
+    """
     share = p['friction_per_motor_force'][friction]
     if share == 0.0:
         return 0.0
     coordinate = p['friction_coordinate'][friction]
     total = 0.0
+    outside = 0.0
     for motor in range(MOTORS):
         if p['winding'][motor] != NONE and p['motor_coordinate'][motor] == coordinate:
+            if s['terminals_open'][motor]:
+                outside = s['external_force'][coordinate]
             ratio = p['motor_ratio'][motor]
             force, damping = force_and_damping(s, p, motor)
             total += ratio * (force - damping * ratio * mean[coordinate])
-    return share * abs(total / p['friction_ratio'][friction])
+    return share * abs((total + outside) / p['friction_ratio'][friction])
 
 
 @compiled
