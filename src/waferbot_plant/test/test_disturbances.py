@@ -270,7 +270,9 @@ def test_dtype_does_not_depend_on_disturbances() -> None:
     ],
 )  # fmt: skip
 def test_mistakes_are_named(force: dict, message: str) -> None:
-    with pytest.raises(UserError, match=rf'machine_\d+.yaml, line \d+: disturbances.force.*{message}'):
+    with pytest.raises(
+        UserError, match=rf'machine_\d+.yaml, line \d+: disturbances.force.*{message}'
+    ):
         slide(force)
 
 

@@ -322,5 +322,7 @@ def test_taking_the_law_away_while_it_runs_leaves_the_table() -> None:
     ],
 )
 def test_mistakes_are_named(law: dict, message: str) -> None:
-    with pytest.raises(UserError, match=rf'machine_\d+.yaml, line \d+: frictions.guide.*{message}'):
+    with pytest.raises(
+        UserError, match=rf'machine_\d+.yaml, line \d+: frictions.guide.*{message}'
+    ):
         slide({**COULOMB, **law})

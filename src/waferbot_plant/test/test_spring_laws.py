@@ -453,7 +453,9 @@ def test_slack_lets_a_cable_go_by_so_much_sooner(slack: float) -> None:
     ],
 )
 def test_mistakes_of_connections_are_named(connection: dict, message: str) -> None:
-    with pytest.raises(UserError, match=rf'machine_\d+.yaml, line \d+: connections.hold.*{message}'):
+    with pytest.raises(
+        UserError, match=rf'machine_\d+.yaml, line \d+: connections.hold.*{message}'
+    ):
         oscillator(connection)
 
 

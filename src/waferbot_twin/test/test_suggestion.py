@@ -14,6 +14,7 @@ from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.search import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
@@ -205,6 +206,37 @@ def test_what_is_expected_is_what_a_noisy_log_then_gives(rigid):
     assert likeness(problem, own, viscous, viscous) == pytest.approx(1.0)
     alike = likeness(problem, own, viscous, rival.causes[0])
     assert 0.3 < alike < 0.9999
+
+
+@pytest.mark.slow
+def test_a_pair_that_a_small_step_leaves_open_is_told_apart_by_what_is_suggested(
+    rigid, monkeypatch
+):
+    seed = 60
+    print(f'seed {seed}')
+    viscous = cause(rigid, 'viscous_friction', 'x_rotate')
+    coulomb = cause(rigid, 'coulomb_friction', 'x_rotate', friction=0.05)
+    small = Candidate('small', short('x_rotate', 'kind: step, amplitude_counts: 16'))
+    move = (
+        'kind: jog, distance_rad: 0.2, speed_rad_per_s: 1.0, acceleration_time_s: 0.1,'
+        ' s_curve_time_s: 0.02'
+    )
+    large = Candidate('large', short('x_rotate', move))
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest.library', lambda variant: [small, large])
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest.designed', lambda *arguments: [])
+    found = suggest(
+        Machine(rigid, 1.0, seed, TIMING), [viscous, coulomb], lambda done, total: None
+    )
+    assert found.best is not None
+    assert found.best.candidate is large
+    assert found.rated[1].evidence < TELLS_APART
+    machine = Machine(rigid, 1.0, seed + 1, TIMING)
+    for candidate, told in ((small, False), (large, True)):
+        log = machine.record(machine.run((viscous,), candidate.experiment, noisy=True))
+        problem = Problem(rigid, [log])
+        own, rival = (fit_causes(problem, (one,)) for one in (viscous, coulomb))
+        difference = 2.0 * (own.log_likelihood - rival.log_likelihood)
+        assert (difference > TELLS_APART) == told
 
 
 def test_the_same_cause_twice_is_refused(rigid):
