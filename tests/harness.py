@@ -18,6 +18,10 @@ PATIENCE_S = 120.0
 """Wall time after which a test gives up; compiling the model for the first time is part of it."""
 
 
+LONG_PATIENCE_S = 280.0
+"""The same for a command that works for long, as a diagnosis does."""
+
+
 class Program:
     """A process of the twin with its output in a file; whatever it started ends with it."""
 
@@ -129,11 +133,24 @@ def wait_until(
 
 def waferbot(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run one command of waferbot to its end, as a user would."""
+    return _run(arguments, environment, PATIENCE_S)
+
+
+def output_of(*arguments: Any) -> str:
+    """Return what one command of waferbot prints, which must succeed; it may take its time."""
+    done = _run([str(word) for word in arguments], {}, LONG_PATIENCE_S)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def _run(
+    arguments: Sequence[str], environment: dict[str, str], patience_s: float
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, '-m', 'waferbot_twin', *arguments],
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=patience_s,
         env={**user_environment(), **environment},
         stdin=subprocess.DEVNULL,
     )

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from harness import run_engine
+from harness import output_of, run_engine
 
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -40,27 +38,17 @@ def random():
     return np.random.default_rng(seed)
 
 
-def waferbot(*arguments):
-    done = subprocess.run(
-        [sys.executable, '-m', 'waferbot_twin', *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def log(folder, experiment, seed, *effects):
     arguments = [word for effect in effects for word in ('--effect', effect)]
-    waferbot('synthesize', '--experiment', experiment, '--seed', seed, '--out', folder, *arguments)
+    output_of(
+        'synthesize', '--experiment', experiment, '--seed', seed, '--out', folder, *arguments
+    )
     return folder
 
 
 def diagnosis(tmp_path, *logs):
     finding, judging = logs
-    text = waferbot(
+    text = output_of(
         'diagnose', finding, '--validate', judging, '--out', tmp_path / 'report', '--json'
     )
     report = json.loads((tmp_path / 'report' / 'report.json').read_text('utf-8'))
@@ -75,7 +63,7 @@ def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(ra
     truth = tmp_path / 'truth.json'
     seeds = random.integers(2**31, size=2)
     first = tmp_path / 'first'
-    waferbot(
+    output_of(
         'synthesize', '--experiment', 'step', '--seed', seeds[0],
         '--effect', f'{name}:{axis}', '--truth', truth, '--out', first,
     )  # fmt: skip

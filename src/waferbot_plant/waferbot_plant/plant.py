@@ -474,12 +474,7 @@ def find_description(name_or_path: str | Path) -> Path:
         if not path.is_file():
             raise UserError(f'{path}: no such machine description')
         return path
-    folder = config_folder()
-    known = {
-        file.stem: file
-        for file in [*folder.glob('examples/*.yaml'), *folder.glob('*.yaml')]
-        if 'joints:' in file.read_text('utf-8') or 'extends:' in file.read_text('utf-8')
-    }
+    known = _shipped_descriptions()
     if str(name_or_path) not in known:
         hint = did_you_mean(str(name_or_path), known)
         raise UserError(
@@ -487,6 +482,20 @@ def find_description(name_or_path: str | Path) -> Path:
             'or give the path of a .yaml file)'
         )
     return known[str(name_or_path)]
+
+
+def description_names() -> list[str]:
+    """Return the names of the descriptions in the package."""
+    return sorted(_shipped_descriptions())
+
+
+def _shipped_descriptions() -> dict[str, Path]:
+    folder = config_folder()
+    return {
+        file.stem: file
+        for file in [*folder.glob('examples/*.yaml'), *folder.glob('*.yaml')]
+        if 'joints:' in file.read_text('utf-8') or 'extends:' in file.read_text('utf-8')
+    }
 
 
 def description_source(name_or_path: str | Path) -> Path | str:

@@ -30,7 +30,11 @@ from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, parse, read
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_plant.plant import description_names
 from waferbot_twin.recording.reader import Recording
+
+DESCRIPTION_KEYS = frozenset({'bodies', 'joints', 'extends'})
+"""Keys by which the description of a machine is known from a file of parameters."""
 
 NODES = ('plant', 'pmac', 'copley')
 
@@ -99,6 +103,25 @@ def load_model(name_or_path: str) -> Model:
         for node, section in _sections(read(file)).items():
             _lay_over(parameters[node], section)
     return Model(path.stem, path, parameters)
+
+
+def load_model_or_machine(name_or_path: str) -> Model:
+    """
+    Return a model, or a machine alone: a description by name or path, without any settings.
+
+    Such a machine has neither controller nor amplifier that anything is known of. Raises `UserError`.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        data = read(path).data
+        alone = isinstance(data, dict) and not DESCRIPTION_KEYS.isdisjoint(data)
+    else:
+        alone = name_or_path not in model_names() and name_or_path in description_names()
+    if not alone:
+        return load_model(name_or_path)
+    return Model(
+        path.stem, path, {'plant': {'description': name_or_path}, 'pmac': {}, 'copley': {}}
+    )
 
 
 def recorded_model(recording: Recording) -> Model:

@@ -49,13 +49,13 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
-    from waferbot_twin.models import load_model
+    from waferbot_twin.models import load_model_or_machine
 
     for name in options.without:
         find(name)
     if options.workers < 1:
         raise UserError(f'--workers is {options.workers}; it must be at least 1')
-    nominal = Variant.of(load_model(options.model))
+    nominal = Variant.of(load_model_or_machine(options.model))
     finding = load_records(options.measured, nominal)
     judging = load_records(options.validate, nominal)
     prepare_folder(options.out, options.force)

@@ -19,19 +19,25 @@ from pathlib import Path
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.from_recording import record_of_recording
+from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
+from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.nonparametric import tables
-from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.diagnosis.position_spectrum import orders_of
+from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
-from waferbot_twin.effects import library
-from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects import cogging, library
+from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.bags import is_bag, read_bag
+from waferbot_twin.logs.load import load_log
+from waferbot_twin.recording.reader import recording_files, recording_of
 
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
@@ -91,7 +97,25 @@ class Diagnosis:
 
 def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
     """Return the records of logs; raises `UserError` for one that cannot be used."""
-    return [record_of_recording(path, nominal) for path in paths]
+    return [load_record(path, nominal) for path in paths]
+
+
+def load_record(path: Path, nominal: Variant) -> Record:
+    """
+    Return the record of a recording with the contract's topics, else of a measured log.
+
+    Raises `UserError` for a log that cannot be used.
+    """
+    if path.exists() and not is_bag(path):
+        raise UserError(
+            f'{path} is no recording; import it first: '
+            f'waferbot import {path} --map MAP.yaml --out DIR (docs/logs.md)'
+        )
+    content = read_bag(path)
+    recording = recording_of(path, recording_files(path)[0], content)
+    if any(len(array) for array in recording.topics.values()):
+        return record_of(recording, path, nominal)
+    return aligned_record(load_log(path, machine=nominal.machine_text, name=path.name), nominal)
 
 
 def diagnose(
@@ -115,9 +139,13 @@ def diagnose(
         notes.append('one log only: its last part judged what was found in the rest')
     if any(record.commanded is None for record in (*finding, *judging)):
         notes.append('no commanded position: the controller could not be looked at')
+    notes += list(dict.fromkeys(n for record in (*finding, *judging) for n in record.notes))
+    nominal = sized_by(finding, nominal)
     roomy = host(nominal)
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = [effect for name, effect in library().items() if name not in without]
+    if cogging.NAME not in without:
+        effects += _cogging_of_imported_logs(problem)
     found = search(problem, judge, effects, progress, workers)
     withdrawn: list[Cause] = []
     axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
@@ -148,6 +176,17 @@ def diagnose(
         time.perf_counter() - begun_s,
         notes,
     )
+
+
+def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
+    """
+    Return cogging with the orders that imported logs show; of a motor that nobody knows so far.
+
+    The twin's own machine has the orders that the library tries.
+    """
+    plants = [block for block in problem.blocks[PLANT] if isinstance(block, PlantBlock)]
+    imported = [block for block in plants if block.record.current is not None]
+    return [cogging.with_orders(orders_of(problem.nominal, imported))] if imported else []
 
 
 def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:

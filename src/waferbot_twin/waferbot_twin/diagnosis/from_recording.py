@@ -47,7 +47,11 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
     Where currents were not recorded the amplifiers are taken to do what they are told. Raises
     `UserError` if that lacks too, or if ticks are missing.
     """
-    recording = read_recording(path)
+    return record_of(read_recording(path), path, variant)
+
+
+def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
+    """Return the record of a recording that was read from `path`; raises as above."""
     timing = recording.timing
     encoders = _whole(recording, ENCODERS_TOPIC.name, timing.encoder_divider)
     ticks = len(encoders) * timing.encoder_divider

@@ -3,23 +3,30 @@
 What an extension gains: nominal and extended model against logs that were not used for the fit.
 
 Error is simulated less measured position, its RMS by (4.2), the improvement by (6.1). With commanded
-positions the closed loop is simulated; without them the plant is driven by the measured currents and the
-error is the innovation of its observer.
+positions the closed loop is simulated; without them the plant is driven by the measured currents, and
+the error is the innovation of an observer that is much slower than the one of the search: it leaves
+the model alone for about as long as `FREE_S`, and holds no more than its drift.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.closed_loop_record import simulate
-from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ, PlantBlock
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.metrics import performance_improvement, rms
+
+FREE_S = 0.08
+"""Time constant with which a plant without commands is held to the measurement, s: 2 Hz."""
+
+CYCLES = 8.0
+"""Cycles of that observer in a log at least, however short it is."""
 
 
 @dataclass(frozen=True)
@@ -58,47 +65,57 @@ def gains(nominal: Variant, extended: Variant, records: list[Record]) -> list[Ax
 
 def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisGain]:
     closed_loop = record.commanded is not None
-    if closed_loop:
-        before, after = (simulate(variant, record).reading for variant in (nominal, extended))
-    first_s = record.judged_from_s
+    errors = (_closed_loop_errors if closed_loop else _plant_errors)(nominal, extended, record)
     found = []
     for place, axis in enumerate(AXES):
         encoder = nominal.description.encoders.get(ENCODERS[place])
-        if encoder is None or axis not in nominal.description.motors:
+        if encoder is None or axis not in nominal.description.motors or place not in errors:
             continue
-        measured = record.reading[:, place]
-        if not np.isfinite(measured).any():
-            continue
-        if closed_loop:
-            errors = [side[:, place] - measured for side in (before, after)]
-            time_s = (
-                np.arange(len(measured)) * record.timing.encoder_divider * record.timing.tick_s
-            )
-        else:
-            errors = [_innovation(variant, record, place) for variant in (nominal, extended)]
-            block = PlantBlock(record, nominal)
-            rows = (block.first_cycle + np.arange(len(errors[0]))) * block.averaged
-            measured = measured[rows]
-            time_s = rows * record.timing.encoder_divider * record.timing.tick_s
-        known = np.isfinite(errors[0]) & np.isfinite(measured) & (time_s >= first_s)
+        time_s, measured, before, after = errors[place]
+        known = np.isfinite(measured) & (time_s >= record.judged_from_s)
         unit = 'rad' if nominal.description.revolute[encoder.coordinate] else 'm'
         found.append(
             AxisGain(
                 record.name,
                 axis,
                 unit,
-                np.asarray(time_s[known], np.float64),
+                time_s[known],
                 measured[known] / encoder.counts_per_unit,
-                errors[0][known] / encoder.counts_per_unit,
-                errors[1][known] / encoder.counts_per_unit,
+                before[known] / encoder.counts_per_unit,
+                after[known] / encoder.counts_per_unit,
                 closed_loop,
             )
         )
     return found
 
 
-def _innovation(variant: Variant, record: Record, place: int) -> Array:
-    block = PlantBlock(record, variant)
-    if ENCODERS[place] not in block.channels:
-        raise UserError(f'{record.name}: {ENCODERS[place]} was not logged')
-    return -block.residuals(variant)[block.channels.index(ENCODERS[place])]
+Errors = dict[int, tuple[Array, Array, Array, Array]]
+"""By place of an encoder: times (s), reading, error of nominal and extended model (counts)."""
+
+
+def _closed_loop_errors(nominal: Variant, extended: Variant, record: Record) -> Errors:
+    time_s = np.arange(len(record.reading)) / record.timing.encoder_hz
+    before, after = (simulate(variant, record).reading for variant in (nominal, extended))
+    return {
+        place: (
+            time_s,
+            record.reading[:, place],
+            before[:, place] - record.reading[:, place],
+            after[:, place] - record.reading[:, place],
+        )
+        for place in range(len(ENCODERS))
+        if np.isfinite(record.reading[:, place]).any()
+    }
+
+
+def _plant_errors(nominal: Variant, extended: Variant, record: Record) -> Errors:
+    judged_s = record.duration_s - record.judged_from_s
+    observer_hz = min(max(1.0 / (2.0 * math.pi * FREE_S), CYCLES / judged_s), OBSERVER_HZ)
+    block = PlantBlock(record, nominal, observer_hz)
+    before, after = (block.residuals(variant) for variant in (nominal, extended))
+    return {
+        ENCODERS.index(channel): (
+            block.times_s(channel), block.measured(channel), -before[row], -after[row]
+        )
+        for row, channel in enumerate(block.channels)
+    }  # fmt: skip

@@ -12,16 +12,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.logs.machine import POSITION_ENCODER
 
 POINTS = 7
-
-POSITION_ENCODERS = dict(zip(AXES, ENCODERS[: len(AXES)], strict=True))
-"""The encoder that tells the position of each axis."""
 
 STANDS_COUNTS = 50.0
 """An axis that moves less than this in all logs is taken to stand."""
@@ -32,10 +30,10 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
     speeds: dict[str, tuple[float, ...]] = {}
     positions: dict[str, tuple[float, ...]] = {}
     for axis in places.motor_axes(variant):
-        encoder = variant.description.encoders.get(POSITION_ENCODERS[axis])
+        encoder = variant.description.encoders.get(POSITION_ENCODER[axis])
         if encoder is None:
             continue
-        column = ENCODERS.index(POSITION_ENCODERS[axis])
+        column = ENCODERS.index(POSITION_ENCODER[axis])
         readings = [record.reading[:, column] for record in records]
         known = np.concatenate([reading[np.isfinite(reading)] for reading in readings])
         if len(known) == 0 or np.ptp(known) < STANDS_COUNTS:

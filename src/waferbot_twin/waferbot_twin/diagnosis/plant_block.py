@@ -6,19 +6,25 @@ Double integrators drift, so a plant that is only driven by measured currents so
 measurement. Here every reading y of an encoder corrects the simulated coordinate x a little, as a
 Luenberger observer does,
 
-    e = y - c x        x += l1 e / c        x' += l2 e / c        l1 = 2 z w h, l2 = w^2 h
+    e = y - c x        x += l1 e / c        x' += l2 e / c
+    l1 = 1 - q^2       l2 = (1 + q^2 - 2 q cos(sqrt(1 - z^2) w h)) / h       q = exp(-z w h)
 
-with c counts per unit, h the time between readings, w and z the observer's frequency and damping. The
-innovation e, in counts, is the block's residual. A force F that the model lacks appears in it as
-c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above what
-moves the machine. Whitening takes out what w and z were; all models that are compared have the same.
+with c counts per unit, h the time since the reading before, w and z the observer's frequency and
+damping: the error of a double integrator then dies out as exp(-z w t) at whatever times readings come
+(for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in counts, is the block's residual. A
+force F that the model lacks appears in it as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of
+the force itself, so w is chosen above what moves the machine, 80 Hz, but no more than a sixth of the
+rate at which readings come: what a slow log cannot show is not looked for in it. Whitening takes out
+what w and z were; all models that are compared have the same.
 
 What moves together as long as nothing gives is corrected together, by its first encoder: a carriage with
 its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore held as
 the rigid one is, and no correction stretches a spring.
 
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
-model's sensors say; positions are seen as its encoders see them, without their noise.
+model's sensors say; where only the part that makes force is known, it is taken to be in phase.
+Positions are seen as the model's encoders see them, without their noise. Axes of which no position was
+logged stand still.
 """
 
 from __future__ import annotations
@@ -26,9 +32,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import ENCODERS
+from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, plant
 from waferbot_plant.plant import Machine
@@ -36,43 +43,89 @@ from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
 
-OBSERVER_RAD_S = 2.0 * math.pi * 80.0
+OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
 
-FLOOR_COUNTS = 0.2
-"""Smallest standard deviation of a reading: whole counts are uniform over one, 0.29."""
+READINGS_PER_CYCLE = 6.0
+"""Readings that a cycle of the observer has at least."""
 
-SETTLING_S = 0.02
-"""What is left out at the beginning of a log: there the observer takes hold."""
+SETTLING_CYCLES = 1.6
+"""Cycles of the observer that are left out at the beginning of a log and behind a gap."""
+
+FLOOR_STEPS = 0.2
+"""Smallest standard deviation of a reading, in its steps: whole counts are uniform over one, 0.29."""
+
+LEAST_READINGS = 40
+"""An encoder with fewer readings than this is not looked at."""
+
+SAMPLES_PER_TAP = 20
+"""Samples for each coefficient of the autoregression at least."""
+
+GAP = 4.0
+"""A time between readings that is so many times the usual one is a gap."""
 
 LONGEST_DELAY = 32
 
 
 class PlantBlock:
-    """The plant's residual of one log, for any variant of the model."""
+    """
+    The plant's residual of one log, for any variant of the model.
+
+    A sample of the residual is the mean over `group` readings, so that its rate is about the servo's,
+    or that of the log where it is slower. `order` is that of the autoregression: forces that shake the
+    machine are coloured.
+    """
 
     order = 24
-    """Forces that shake the machine are coloured."""
 
-    def __init__(self, record: Record, variant: Variant) -> None:
+    def __init__(self, record: Record, variant: Variant, observer_hz: float = OBSERVER_HZ) -> None:
         """Prepare what does not depend on the values of the model."""
         self.record = record
         self._rigid = variant.rigid.placing
         timing = record.timing
-        self.averaged = timing.servo_divider // timing.encoder_divider
-        self.first_cycle = round(max(SETTLING_S, record.judged_from_s) * timing.servo_hz)
+        known = np.isfinite(record.reading)
         self._places = [
             place
             for place, name in enumerate(ENCODERS)
-            if name in variant.description.encoders
-            and np.isfinite(record.reading[:, place]).mean() > 0.5
+            if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
         ]
         self.channels = [ENCODERS[place] for place in self._places]
-        self.floors = [FLOOR_COUNTS / math.sqrt(self.averaged)] * len(self._places)
+        self._samples: list[NDArray[np.intp]] = []
+        self.floors: list[float] = []
+        self._observer_hz = np.zeros(len(ENCODERS))
+        for place in self._places:
+            rows = np.flatnonzero(known[:, place])
+            usual = float(np.median(np.diff(rows)))
+            rate_hz = timing.encoder_hz / usual
+            self._observer_hz[place] = min(observer_hz, rate_hz / READINGS_PER_CYCLE)
+            settling = SETTLING_CYCLES / self._observer_hz[place] * timing.encoder_hz
+            group = max(1, round(rate_hz / timing.servo_hz))
+            samples = _samples(rows, group, GAP * usual, settling)
+            judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
+            self._samples.append(samples[judged])
+            self.floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
+        shortest = min((len(samples) for samples in self._samples), default=0)
+        self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
+
+    @property
+    def observer_hz(self) -> float:
+        """Frequency above which missing forces are not seen in the slowest channel, Hz."""
+        return float(min((self._observer_hz[place] for place in self._places), default=0.0))
+
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+        rows = self._samples[self.channels.index(channel)]
+        timing = self.record.timing
+        return rows.mean(axis=1) * timing.encoder_divider * timing.tick_s
+
+    def measured(self, channel: str) -> Array:
+        """Return the reading at every sample of a channel's residual, counts."""
+        rows = self._samples[self.channels.index(channel)]
+        return np.asarray(self.record.reading[rows, ENCODERS.index(channel)].mean(axis=1))
 
     def residuals(self, variant: Variant) -> list[Array]:
         """
-        Return the innovation of every encoder of the log, counts, at the servo's rate.
+        Return the innovation of every encoder of the log, counts.
 
         Raises `UserError` if the simulation blows up.
         """
@@ -81,21 +134,21 @@ class PlantBlock:
         parameters = machine.parameters()
         state = machine.resting_state(parameters)
         p = parameters[0]
-        step_s = record.timing.encoder_divider * record.timing.tick_s
         together = self._together(machine, p)
-        gains = np.zeros((2, *together.shape))
-        gains[0] = 2.0 * OBSERVER_DAMPING * OBSERVER_RAD_S * step_s * together
-        gains[1] = OBSERVER_RAD_S**2 * step_s * together
-        self._stand_where_measured(state, parameters, together, step_s)
+        self._stand_where_measured(state, parameters, together)
         innovation = np.zeros_like(record.reading)
         blown_up = _drive(
             state,
             parameters,
             record.line_current,
+            np.zeros((0, motors.MOTORS)) if record.current is None else record.current,
             0.5 if record.whole_counts else 0.0,
             record.timing.encoder_divider,
-            gains,
+            2.0 * math.pi * self._observer_hz,
+            together,
             record.reading,
+            np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
+            _standing(variant, p, together),
             np.zeros(9),
             innovation,
         )
@@ -103,9 +156,10 @@ class PlantBlock:
             raise UserError(
                 f'{record.name}: the plant blew up when driven by the measured currents'
             )
-        whole = len(innovation) // self.averaged
-        averaged = innovation[: whole * self.averaged].reshape(whole, self.averaged, -1)
-        return [averaged[self.first_cycle :, :, place].mean(axis=1) for place in self._places]
+        return [
+            innovation[rows, place].mean(axis=1)
+            for place, rows in zip(self._places, self._samples, strict=True)
+        ]
 
     def _together(self, machine: Machine, p: np.void) -> Array:
         """
@@ -129,40 +183,100 @@ class PlantBlock:
         return together
 
     def _stand_where_measured(
-        self, state: np.ndarray, parameters: np.ndarray, together: Array, step_s: float
+        self, state: np.ndarray, parameters: np.ndarray, together: Array
     ) -> None:
         """Begin with the position and speed of the first readings."""
         s, p = state[0], parameters[0]
-        reading = self.record.reading
+        timing = self.record.timing
+        step_s = timing.encoder_divider * timing.tick_s
         for place in self._places:
-            rows = np.flatnonzero(np.isfinite(reading[:200, place]))
-            if len(rows) < 2 or not together[place].any():
+            if not together[place].any():
                 continue
-            few = rows[:40]
-            slope, start = np.polyfit(few * step_s, reading[few, place], 1)
+            reading = self.record.reading[:, place]
+            rows = np.flatnonzero(np.isfinite(reading))
+            within = rows - rows[0] < timing.encoder_hz / self._observer_hz[place]
+            few = rows[within][:40]
+            slope, start = np.polyfit(few * step_s, reading[few], 1)
             per_unit = p['counts_per_unit'][place]
             coordinate = p['encoder_coordinate'][place]
-            if abs(slope) * (few[-1] - few[0]) * step_s < 3.0:  # it stands
-                slope, start = 0.0, float(np.mean(reading[few, place]))
+            travel = abs(slope) * (few[-1] - few[0]) * step_s
+            if travel < 3.0 * self.record.resolution[place]:  # it stands
+                slope, start = 0.0, float(np.mean(reading[few]))
             s['position'] += together[place] * (start / per_unit - s['position'][coordinate])
             s['velocity'] += together[place] * (slope / per_unit - s['velocity'][coordinate])
         encoders.fill_readings(s, p)
 
 
+def _standing(variant: Variant, p: np.void, together: Array) -> NDArray[np.bool_]:
+    """Return which coordinates (n,) are those of an axis of which no position was logged."""
+    measured = together.any(axis=0)
+    standing = np.zeros(len(measured), np.bool_)
+    for place, axis in enumerate(AXES):
+        own = [
+            int(p[f'{what}_coordinate'][place])
+            for what, having in (
+                ('axis', variant.description.axes),
+                ('motor', variant.description.motors),
+            )
+            if axis in having
+        ]
+        if not measured[own].any():
+            standing[own] = True
+    return standing
+
+
+def _samples(
+    rows: NDArray[np.intp], group: int, longest: float, settling: float
+) -> NDArray[np.intp]:
+    """
+    Return the rows (samples, group) of the readings that make each sample of the residual.
+
+    Left out is what lies within `settling` rows of the first reading, or of the first one behind a
+    time of more than `longest` rows without any.
+    """
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(rows) > longest) + 1])
+    ends = np.concatenate([begins[1:], [len(rows)]])
+    parts = []
+    for begin, end in zip(begins, ends, strict=True):
+        stretch = rows[begin:end]
+        stretch = stretch[stretch >= stretch[0] + settling]
+        whole = len(stretch) // group
+        parts.append(stretch[: whole * group].reshape(whole, group))
+    return np.concatenate(parts)
+
+
 @compiled
 def _drive(
-    state, parameters, line_current, half_count, divider, gains, reading, no_voltage, innovation
+    state,
+    parameters,
+    line_current,
+    current,
+    half_count,
+    divider,
+    observer,
+    together,
+    reading,
+    late_s,
+    standing,
+    no_voltage,
+    innovation,
 ):
     """
-    Drive the plant by measured line currents (n, 6); fill `innovation` (n / divider, 4), counts.
+    Drive the plant by measured currents; fill `innovation` (n / divider, 4), counts.
 
-    `reading` likewise: published counts, NaN where missing; `half_count` is added to them, because
-    counts are rounded down; `gains` (2, encoders, coordinates) are those of the observer, for position
-    and velocity. Returns the coordinate for which the simulation blew up, or -1.
+    `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
+    currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
+    missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much
+    after its tick each was taken (0, 4 if never). `observer` (4,) rad/s; `together` (encoders, z) how far
+    it moves each coordinate. Coordinates of `standing` (z,) do not move. Returns the coordinate for which the
+    simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
     seen = np.zeros((LONGEST_DELAY, reading.shape[1]))
+    last_row = np.full(reading.shape[1], -1)
+    gains_for = np.zeros(reading.shape[1])
+    gains = np.zeros((2, reading.shape[1]))
     for encoder in range(reading.shape[1]):
         if p['counts_per_unit'][encoder] != 0.0:
             now = encoders.seen_counts(s, p, encoder)
@@ -170,6 +284,7 @@ def _drive(
                 seen[row, encoder] = now
     for motor in range(motors.MOTORS):
         s['terminals_open'][motor] = 1
+    start = s['position'].copy()
     for tick in range(line_current.shape[0]):
         if tick % divider == 0 and tick // divider < reading.shape[0]:
             row = tick // divider
@@ -177,6 +292,7 @@ def _drive(
                 per_unit = p['counts_per_unit'][encoder]
                 if per_unit == 0.0:
                     continue
+                coordinate = p['encoder_coordinate'][encoder]
                 coarseness = p['coarseness'][encoder]
                 now = encoders.seen_counts(s, p, encoder)
                 if coarseness > 1.0:
@@ -186,27 +302,55 @@ def _drive(
                 error = reading[row, encoder] + half_count - seen[late, encoder]
                 if error != error:
                     continue
+                if late_s.shape[0]:
+                    error -= late_s[row, encoder] * s['velocity'][coordinate] * per_unit
                 innovation[row, encoder] = error
-                for coordinate in range(gains.shape[2]):
-                    s['position'][coordinate] += gains[0, encoder, coordinate] * error / per_unit
-                    s['velocity'][coordinate] += gains[1, encoder, coordinate] * error / per_unit
+                passed = row - last_row[encoder]
+                last_row[encoder] = row
+                if passed != gains_for[encoder]:
+                    gains_for[encoder] = passed
+                    time_s = passed * divider * p['step'] * p['substeps']
+                    _observer_gains(observer[encoder], time_s, gains[:, encoder])
+                for other in range(together.shape[1]):
+                    share = together[encoder, other] * error / per_unit
+                    s['position'][other] += gains[0, encoder] * share
+                    s['velocity'][other] += gains[1, encoder] * share
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
         for motor in range(motors.MOTORS):
-            first = line_current[tick, 2 * motor]
-            if p['winding'][motor] == motors.NONE or first != first:
+            if p['winding'][motor] == motors.NONE:
                 continue
-            first = current_sensors.true_current(p, motor, 0, first)
-            second = current_sensors.true_current(p, motor, 1, line_current[tick, 2 * motor + 1])
             coordinate = p['motor_coordinate'][motor]
             ratio = p['motor_ratio'][motor]
             middle = s['position'][coordinate] + 0.5 * p['step'] * s['velocity'][coordinate]
             angle = p['electrical_gain'][motor] * ratio * middle
-            force = motors.force_of_line_currents(p, motor, angle, first, second)
+            first = line_current[tick, 2 * motor]
+            if first == first:
+                first = current_sensors.true_current(p, motor, 0, first)
+                second = line_current[tick, 2 * motor + 1]
+                second = current_sensors.true_current(p, motor, 1, second)
+                force = motors.force_of_line_currents(p, motor, angle, first, second)
+            elif current.shape[0] and current[tick, motor] == current[tick, motor]:
+                force = motors.force_at_angle(p, motor, angle, current[tick, motor], 0.0)
+            else:
+                continue
             s['external_force'][coordinate] += ratio * force
         if tick % 180 == 0:
             coordinate = plant.runaway(state)
             if coordinate >= 0:
                 return coordinate
         plant.advance(state, parameters, no_voltage)
+        for coordinate in range(len(standing)):
+            if standing[coordinate]:
+                s['position'][coordinate] = start[coordinate]
+                s['velocity'][coordinate] = 0.0
     return -1
+
+
+@compiled
+def _observer_gains(frequency, time_s, gains):
+    """Fill l1 and l2 of an observer of `frequency` rad/s for a reading `time_s` after the last."""
+    shrinks = math.exp(-OBSERVER_DAMPING * frequency * time_s)
+    turns = math.sqrt(1.0 - OBSERVER_DAMPING**2) * frequency * time_s
+    gains[0] = 1.0 - shrinks * shrinks
+    gains[1] = (1.0 + shrinks * shrinks - 2.0 * shrinks * math.cos(turns)) / time_s

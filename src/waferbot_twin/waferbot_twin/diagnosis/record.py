@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 
 Array = NDArray[np.float64]
@@ -45,9 +46,16 @@ class Record:
     command       (cycles, 3) A, current command at servo ticks, or None
     terminals     what was measured at the amplifiers' terminals, or None
 
-    `whole_counts` tells whether readings are the whole counts that the controller saw. What lies
-    before `judged_from_s` is simulated, so that the machine is in the state that it had by then,
-    but not judged.
+    current       (ticks, 3) A, the part of each motor's current that makes force, mean over each tick;
+                  it drives motors whose line currents are not known; NaN or None where that is neither
+    late_s        (rows, 4) s, how much after the tick of its row a reading was taken; None: not at all
+    resolution    smallest step of each encoder's readings, counts
+    notes         what a reader of the results should know of the log
+
+    `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
+    have a reading in every row: `late_s` and gaps of NaN keep the times at which it was really measured.
+    What lies before `judged_from_s` is simulated, so that the machine is in the state that it had by
+    then, but not judged.
     """
 
     name: str
@@ -59,6 +67,10 @@ class Record:
     whole_counts: bool = True
     terminals: Terminals | None = None
     judged_from_s: float = 0.0
+    current: Array | None = None
+    late_s: Array | None = None
+    resolution: tuple[float, ...] = (1.0,) * len(ENCODERS)
+    notes: tuple[str, ...] = ()
 
     @property
     def ticks(self) -> int:
@@ -74,13 +86,16 @@ class Record:
         """Return the record up to a time, of which only what lies between two times is judged."""
         cycles = round(last_s * self.timing.servo_hz)
         ticks = cycles * self.timing.servo_divider
+        rows = ticks // self.timing.encoder_divider
         return replace(
             self,
             name=f'{self.name} {first_s:.2f} to {last_s:.2f} s',
             line_current=self.line_current[:ticks],
-            reading=self.reading[: ticks // self.timing.encoder_divider],
+            reading=self.reading[:rows],
             commanded=None if self.commanded is None else self.commanded[:cycles],
             command=None if self.command is None else self.command[:cycles],
             terminals=None if self.terminals is None else self.terminals.part(slice(0, ticks)),
             judged_from_s=first_s,
+            current=None if self.current is None else self.current[:ticks],
+            late_s=None if self.late_s is None else self.late_s[:rows],
         )

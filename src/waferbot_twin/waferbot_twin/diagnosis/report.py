@@ -149,7 +149,9 @@ def write(diagnosis: Diagnosis, folder: Path) -> None:
     (folder / 'report.json').write_text(as_json(finite(as_dict(diagnosis))) + '\n', 'utf-8')
     names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
-    (folder / 'extended.yaml').write_text(header + diagnosis.extended.model().text, 'utf-8')
+    extended = diagnosis.extended
+    text = extended.machine_text if extended.is_machine_alone else extended.model().text
+    (folder / 'extended.yaml').write_text(header + text, 'utf-8')
     (folder / 'report.html').write_text(page(diagnosis), 'utf-8')
 
 

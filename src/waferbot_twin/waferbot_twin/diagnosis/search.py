@@ -266,12 +266,10 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     Blocks whose output follows from their input to the last bit need no such protection, whatever
     moved them: what they gain counts as it is.
 
-    Both hypotheses are those of the logs of `problem`. Infinite if these do not say what was commanded,
-    so that this cannot be asked.
+    Both hypotheses are those of the logs of `problem`. Logs that do not say what was commanded stand for
+    it themselves, with their noise: then this asks no more than whether the cause shows.
     """
-    ideal = problem.ideal(more.causes)
-    if ideal is None:
-        return ByCommand(math.inf, math.inf)
+    ideal = problem.ideal(more.causes) or problem
     cause = more.causes[-1]
     there = evaluate(ideal, more.causes)
     own = signature(ideal, there, more.causes, len(more.causes) - 1)

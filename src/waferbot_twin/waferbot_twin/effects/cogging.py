@@ -10,6 +10,9 @@ teeth per pole; n = 1 from uneven magnets; teeth per pole pair where every tooth
 magnet. It takes out what it gives back: no loss, unlike friction. `torque_ripple` grows with the
 current, this does not.
 
+A real motor has several of these at once. `with_orders` gives the same effect with whatever orders a
+log shows (`diagnosis.position_spectrum`), each with a cosine and a sine of its own.
+
 Source: Z. Q. Zhu, D. Howe, Influence of design parameters on cogging torque in permanent magnet
 machines, IEEE Trans. Energy Conversion 15 (2000).
 """
@@ -17,28 +20,98 @@ machines, IEEE Trans. Energy Conversion 15 (2000).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
 
+NAME = 'cogging'
+SUMMARY = 'magnets pull on the iron: a force over the position, without current'
 HARMONICS = (1, 2, 3)
 SHARES = {'cosine_1': 0.03, 'sine_1': 0.02, 'cosine_2': -0.01, 'sine_2': 0.01, 'cosine_3': 0.0}
 """Typical amplitudes, in rated forces of the motor; zero if not here."""
 
+LEAST_SHARE = 0.005
+"""Typical amplitude of everything else."""
+
+
+def period(variant: Variant, axis: str) -> float:
+    """Return what orders of `with_orders` count from: a turn (rad), or an electrical cycle (m)."""
+    if places.motor_rotary(variant, axis):
+        return 2.0 * math.pi
+    return _cycle(variant, axis)
+
+
+def with_orders(orders: Mapping[str, Sequence[int]]) -> Effect:
+    """
+    Return the effect with certain orders on each axis, per turn of the motor.
+
+    Of a linear motor per electrical cycle. Parameters are named after the order: `cosine_14`.
+    """
+
+    def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+        return tuple(
+            _amplitude(variant, axis, f'{wave}_{order}', f'{wave} of order {order}')
+            for order in orders[axis]
+            for wave in ('cosine', 'sine')
+        )
+
+    def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
+        lines = {
+            order: (order, values[f'cosine_{order}'], values[f'sine_{order}'])
+            for order in orders[axis]
+        }
+        return _periodic(variant, axis, period(variant, axis), lines)
+
+    def axes(variant: Variant) -> tuple[str, ...]:
+        return tuple(axis for axis in places.motor_axes(variant) if orders.get(axis))
+
+    return Effect(
+        NAME, Block.MOTOR, SUMMARY, axes, parameters, overlay,
+        equation='F = sum over orders n of cosine_n cos(n phi) + sine_n sin(n phi)',
+    )  # fmt: skip
+
+
+def _cycle(variant: Variant, axis: str) -> float:
+    """Return the length of an electrical cycle at the motor, m or rad."""
+    return 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)
+
+
+def _amplitude(variant: Variant, axis: str, name: str, meaning: str) -> Parameter:
+    rated = places.rated_motor_force(variant, axis)
+    typical = SHARES.get(name, LEAST_SHARE) * rated
+    unit = places.motor_force_unit(variant, axis)
+    return Parameter(name, unit, 0.0, typical, -3.0 * rated, 3.0 * rated, meaning)
+
+
+def _periodic(
+    variant: Variant, axis: str, length: float, lines: Mapping[int, tuple[float, float, float]]
+) -> Overlay:
+    """Return forces with an order in `length` (m, rad), a cosine and a sine (N, Nm), by name."""
+    turns = places.motor_rotary(variant, axis)
+    unit = 'nm' if turns else 'n'
+    entries: dict[str, Any] = {
+        f'{axis}_cogging_{name}': {
+            'kind': 'periodic',
+            'coordinate': places.motor_coordinate(variant, axis),
+            'period_rad' if turns else 'period_m': length,
+            'order': order,
+            f'cosine_{unit}': cosine,
+            f'sine_{unit}': sine,
+        }
+        for name, (order, cosine, sine) in lines.items()
+    }
+    return Overlay({'disturbances': entries})
+
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-    rated = places.rated_motor_force(variant, axis)
-    unit = places.motor_force_unit(variant, axis)
     amplitudes = [
-        Parameter(
-            f'{wave}_{harmonic}', unit, 0.0, SHARES.get(f'{wave}_{harmonic}', 0.005) * rated,
-            -3.0 * rated, 3.0 * rated, f'{wave} of harmonic {harmonic}',
-        )
+        _amplitude(variant, axis, f'{wave}_{harmonic}', f'{wave} of harmonic {harmonic}')
         for harmonic in HARMONICS
         for wave in ('cosine', 'sine')
-    ]  # fmt: skip
+    ]
     order = Parameter(
         'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True
     )
@@ -46,24 +119,15 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    turns = places.motor_rotary(variant, axis)
-    cycle = 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)
-    unit = 'nm' if turns else 'n'
-    return Overlay(
-        {
-            'disturbances': {
-                f'{axis}_cogging_{harmonic}': {
-                    'kind': 'periodic',
-                    'coordinate': places.motor_coordinate(variant, axis),
-                    'period_rad' if turns else 'period_m': cycle,
-                    'order': harmonic * values['order'],
-                    f'cosine_{unit}': values[f'cosine_{harmonic}'],
-                    f'sine_{unit}': values[f'sine_{harmonic}'],
-                }
-                for harmonic in HARMONICS
-            }
-        }
-    )
+    lines = {
+        harmonic: (
+            harmonic * values['order'],
+            values[f'cosine_{harmonic}'],
+            values[f'sine_{harmonic}'],
+        )
+        for harmonic in HARMONICS
+    }
+    return _periodic(variant, axis, _cycle(variant, axis), lines)
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
@@ -78,12 +142,6 @@ def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
 
 
 EFFECT = Effect(
-    'cogging',
-    Block.MOTOR,
-    'magnets pull on the iron: a force over the position, without current',
-    places.motor_axes,
-    _parameters,
-    _overlay,
-    _trials,
+    NAME, Block.MOTOR, SUMMARY, places.motor_axes, _parameters, _overlay, _trials,
     equation='F = sum of cosine_j cos(j order theta) + sine_j sin(j order theta), j = 1, 2, 3',
-)
+)  # fmt: skip

@@ -141,8 +141,14 @@ def moving_inertia(variant: Variant, axis: str) -> float:
 
 
 def peak_current(variant: Variant, axis: str) -> float:
-    """Return the peak current of an axis' drive, A."""
+    """
+    Return the peak current of an axis' drive, A.
+
+    Of a drive of which nothing is known, that with which the logs' current would be the rated one.
+    """
     variant = variant.base
+    if not variant.copley.get(axis) and axis in variant.usual_current:
+        return variant.usual_current[axis] / RATED_SHARE
     return variant.amplifier_setting(axis, 'peak_current')
 
 

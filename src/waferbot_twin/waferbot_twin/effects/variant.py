@@ -54,6 +54,8 @@ class Variant:
     copley: Settings
     node_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     origin: Variant | None = field(default=None, repr=False, compare=False)
+    usual_current: Mapping[str, float] = field(default_factory=dict)
+    """RMS current (A) of each axis in logs, where nothing is known of an amplifier."""
 
     @property
     def base(self) -> Variant:
@@ -133,6 +135,11 @@ class Variant:
         }
         parameters['plant']['damping'] = self.damping
         return Model(self.name, Path(f'{self.name}.yaml'), parameters)
+
+    @property
+    def is_machine_alone(self) -> bool:
+        """Whether nothing is known of a controller or an amplifier of any axis."""
+        return not any(self.pmac.values()) and not any(self.copley.values())
 
     @property
     def machine_text(self) -> str:

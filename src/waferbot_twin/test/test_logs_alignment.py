@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Skew and clocks of logs whose motion is a formula, so that the drive follows without an integrator."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from waferbot_twin.logs.alignment import clock_ratio, skew
+from waferbot_twin.logs.measured import Signal
+
+J, B, C, G = 0.02, 0.05, 0.15, 0.4  # kg m2, Nm s/rad, Nm, Nm: inertia, damping, friction, gravity
+
+
+@pytest.fixture
+def random():
+    seed = int(os.environ.get('WAFERBOT_SEED', '11'))
+    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
+    return np.random.default_rng(seed)
+
+
+class Motion:
+    """A sum of sines of 0.5 to 6 Hz, and the torque that a pendulum with friction needs for it."""
+
+    def __init__(self, random) -> None:
+        self.wave = 2.0 * np.pi * random.uniform(0.5, 6.0, 8)
+        self.phase = random.uniform(0.0, 2.0 * np.pi, 8)
+        self.size = random.uniform(0.5, 1.0, 8) / self.wave
+
+    def derivative(self, order, time_s):
+        angle = np.outer(time_s, self.wave) + self.phase + order * np.pi / 2.0
+        return np.sin(angle) @ (self.size * self.wave**order)
+
+    def torque(self, time_s):
+        speed = self.derivative(1, time_s)
+        inertia = J * self.derivative(2, time_s) + B * speed + C * np.sign(speed)
+        return inertia + G * np.sin(self.derivative(0, time_s))
+
+
+def signals(motion, random, step_s, late_s, jitter=0.0):
+    """Position with steps of 0.1 mrad and torque that stands late, at uneven times of their own."""
+    count = int(8.0 / step_s)
+    time_s, drive_s = (
+        np.arange(count) * step_s + step_s * jitter * random.uniform(0.0, 1.0, count)
+        for _ in range(2)
+    )
+    position = 1e-4 * np.round(motion.derivative(0, time_s) / 1e-4)
+    return (
+        Signal('position', 'x_rotate', 'rad', time_s, position),
+        Signal('force', 'x_rotate', 'Nm', drive_s, motion.torque(drive_s - late_s)),
+    )
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.5])
+@pytest.mark.parametrize('late_steps', [-3.3, -0.5, 0.5, 2.0])
+def test_skew_is_found_to_a_fraction_of_a_sample(random, late_steps, jitter) -> None:
+    step_s = 2e-3
+    found = skew(*signals(Motion(random), random, step_s, late_steps * step_s, jitter))
+    assert found is not None
+    assert found.significant
+    assert found.late_s == pytest.approx(late_steps * step_s, abs=0.15 * step_s)
+    assert found.standard_error_s < 0.1 * step_s
+
+
+def test_no_skew_is_not_significant(random) -> None:
+    found = [skew(*signals(Motion(random), random, 2e-3, 0.0)) for _ in range(20)]
+    assert not any(one is None or one.significant for one in found)
+
+
+def test_commands_that_are_held_need_no_correction(random) -> None:
+    """A torque that is held for 4 ms, and logged when it was set, is not late."""
+    time_s = np.arange(0.0, 8.0, 4e-4)
+    command_s = np.arange(0.0, 8.0, 4e-3)
+    steps = np.cumsum(random.standard_normal(len(command_s)) * 0.05)
+    steps -= 0.05 * np.cumsum(steps) * 4e-3
+    torque = steps[np.minimum((time_s / 4e-3 + 1e-6).astype(int), len(steps) - 1)]
+    # Exact motion of a free inertia under steps, in closed form from step to step.
+    h = 4e-4
+    speed = np.concatenate([[0.0], np.cumsum(torque[:-1] * h / J)])
+    position = np.concatenate([[0.0], np.cumsum(speed[:-1] * h + 0.5 * torque[:-1] * h * h / J)])
+    found = skew(
+        Signal('position', 'y_linear', 'm', time_s, position),
+        Signal('current_command', 'y_linear', 'A', command_s, steps),
+    )
+    assert found is not None
+    assert abs(found.late_s) < 0.02 * 4e-3
+
+
+def test_an_axis_that_rests_shows_no_skew(random) -> None:
+    time_s = np.arange(0.0, 5.0, 2e-3)
+    noise = 1e-4 * random.integers(-1, 2, len(time_s))
+    force = random.standard_normal(len(time_s))
+    found = skew(
+        Signal('position', 'x_rotate', 'rad', time_s, noise.astype(float)),
+        Signal('force', 'x_rotate', 'Nm', time_s, force),
+    )
+    assert found is None or not found.significant
+
+
+@pytest.mark.parametrize('ratio', [0.9, 1.0, 1.11])
+def test_clock_of_the_commands(random, ratio) -> None:
+    motion = Motion(random)
+    time_s = np.arange(0.0, 4.0, 3e-3)
+    command_s = np.arange(0.0, 6.0, 3e-3)
+    lag = 0.01 * random.standard_normal(len(time_s))
+    position = motion.derivative(0, time_s * ratio - 0.03) + lag
+    found = clock_ratio(
+        Signal('position', 'x_rotate', 'rad', time_s, position),
+        Signal(
+            'commanded_position', 'x_rotate', 'rad', command_s, motion.derivative(0, command_s)
+        ),
+    )
+    if ratio == 1.0:
+        assert found is None
+    else:
+        assert found == pytest.approx(ratio, abs=2e-3)

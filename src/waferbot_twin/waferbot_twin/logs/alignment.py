@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Times of the channels of a log against one another: a skew between drive and position, a wrong time base.
+
+**Skew.** Whatever an axis is, its motion follows
+
+    M q'' = k u - b q' - c sign(q') - g_1 sin q - g_2 cos q - g_0,
+
+with position q and drive u, and that must hold at the same instant. If the drive stands in the log later
+than the position by T, it holds for u(t + T), and T can be found without knowing M, k, b, c or g. Noisy
+positions need not be differentiated for that: multiplied by a function p that vanishes with its first
+derivative at both ends of a window, and integrated by parts, the equation becomes
+
+    int q p'' = (k / M) int u p - (b / M) int (-q p') - (c / M) int sign(q') p - ...
+
+one equation for each window, linear in all but T: linear least squares in the others, a search in T
+alone. Since p is known at any time, T may be any fraction of a sample, and samples may be uneven. Here
+p = 64 (x (1 - x))^3 over a window of 16 to 256 samples, that which gives T best.
+
+Limits: an axis whose drive hardly changes shows no skew; a controller that answers to noise of the
+position within its own delay draws T towards that delay, less in long windows; what the equation lacks
+(a resonance, play) shifts T as its own delay would.
+
+**Time base.** If a log runs by another clock than its commands, position and commanded position are one
+path, passed at different speeds: q(t) = r((t - t_0) s). Both are found by least squares.
+
+Sources: M. Shinbrot, On the analysis of linear and nonlinear systems, Trans. ASME 79 (1957), modulating
+functions; standard errors from sums over blocks of windows, since neighbours overlap.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, minimize_scalar
+
+from waferbot_twin.logs.kinds import KINDS
+from waferbot_twin.logs.measured import Signal
+from waferbot_twin.logs.timebase import median_step_s
+
+Array = NDArray[np.float64]
+
+WINDOWS = 64.0 * Polynomial([0.0, 1.0, -1.0]) ** 3
+"""p over its window from 0 to 1, 1 in the middle."""
+
+SAMPLES = (16, 32, 64, 128, 256)
+"""Lengths of windows, in steps of the slower signal."""
+
+MOST_WINDOWS = 1000
+LEAST_WINDOWS = 24
+BLOCKS = 12
+
+LONGEST_STEPS = 6.0
+"""Skew that is looked for on either side, in steps of the slower signal."""
+
+LEAST_ERROR_STEPS = 0.05
+"""Standard error of a skew at least, in steps: when friction turns is known to a sample only."""
+
+SIGNIFICANT = 4.0
+"""Standard errors that a skew must be from zero to be believed."""
+
+SAME_CLOCK = 0.01
+"""Relative difference of clocks that is reported."""
+
+
+@dataclass(frozen=True)
+class Skew:
+    """How much later than the position the drive stands in a log, s, with its standard error."""
+
+    late_s: float
+    standard_error_s: float
+
+    @property
+    def significant(self) -> bool:
+        """Whether it is beyond doubt that there is one."""
+        return abs(self.late_s) > SIGNIFICANT * self.standard_error_s
+
+
+def skew(position: Signal, drive: Signal) -> Skew | None:
+    """Return the skew of a drive against a position, None if too little moves to tell."""
+    step_s = max(median_step_s(signal.time_s) for signal in (position, drive))
+    begin_s = max(position.time_s[0], drive.time_s[0]) + LONGEST_STEPS * step_s
+    end_s = min(position.time_s[-1], drive.time_s[-1]) - LONGEST_STEPS * step_s
+    found = []
+    for samples in SAMPLES:
+        length_s = samples * step_s
+        count = min(MOST_WINDOWS, int(2.0 * (end_s - begin_s) / length_s) - 1)
+        if count < LEAST_WINDOWS:
+            break
+        starts = np.linspace(begin_s, end_s - length_s, count)
+        clear = _without_gaps(position, starts, length_s) & _without_gaps(
+            drive, starts - LONGEST_STEPS * step_s, length_s + 2.0 * LONGEST_STEPS * step_s
+        )
+        if clear.sum() >= LEAST_WINDOWS:
+            one = _skew_in(position, drive, starts[clear], length_s, LONGEST_STEPS * step_s)
+            found += [one] if one is not None else []
+    best = min(found, key=lambda one: one.standard_error_s, default=None)
+    if best is None:
+        return None
+    error_s = math.hypot(best.standard_error_s, LEAST_ERROR_STEPS * step_s)
+    return Skew(best.late_s, error_s)
+
+
+def _skew_in(
+    position: Signal, drive: Signal, starts: Array, length_s: float, longest_s: float
+) -> Skew | None:
+    """Return the skew as windows of one length that begin at `starts` show it."""
+    right, others = _of_position(position, starts, length_s)
+    basis, _ = np.linalg.qr(others)
+
+    def beside_others(column: Array) -> Array:
+        return column - basis @ (basis.T @ column)
+
+    right = beside_others(right)
+
+    def left_over(late_s: float) -> Array:
+        column = beside_others(_of_drive(drive, starts + late_s, length_s))
+        square = float(column @ column)
+        gain = max(float(column @ right) / square, 0.0) if square > 0.0 else 0.0
+        return right - gain * column
+
+    tried = np.linspace(-longest_s, longest_s, 25)
+    best = int(np.argmin([np.sum(left_over(late_s) ** 2) for late_s in tried]))
+    if best in (0, len(tried) - 1):
+        return None
+    late_s = float(
+        minimize_scalar(
+            lambda value: float(np.sum(left_over(value) ** 2)),
+            bounds=(tried[best - 1], tried[best + 1]),
+            method='bounded',
+            options={'xatol': 1e-4 * longest_s},
+        ).x
+    )
+    rest = left_over(late_s)
+    probe_s = 0.02 * longest_s
+    slope = (left_over(late_s + probe_s) - left_over(late_s - probe_s)) / (2.0 * probe_s)
+    square = float(slope @ slope)
+    if square == 0.0 or np.sum(rest**2) > 0.5 * np.sum(right**2):
+        return None  # the drive hardly explains the motion
+    sums = [float(np.sum(part)) for part in np.array_split(slope * rest, BLOCKS)]
+    error = np.sqrt(np.sum(np.square(sums)) * BLOCKS / (BLOCKS - 1.0)) / square
+    return Skew(late_s, float(error))
+
+
+def _of_position(position: Signal, starts: Array, length_s: float) -> tuple[Array, Array]:
+    """Return int q p'' (windows,) and the integrals that the skew does not touch (windows, terms)."""
+    row, place, weight = _samples(position.time_s, starts, length_s)
+    value = position.value[row]
+    from_mean = weight * (value - np.mean(value, axis=1, keepdims=True))
+    right = np.sum(from_mean * WINDOWS.deriv(2)(place), axis=1) / length_s**2
+    damping = np.sum(from_mean * WINDOWS.deriv(1)(place), axis=1) / length_s
+    window = weight * WINDOWS(place)
+    speed = np.gradient(position.value, position.time_s)
+    reach = max(1, int(row.shape[1] / 4))
+    smooth = np.convolve(speed, np.ones(reach) / reach, mode='same')
+    terms = [damping, np.sum(window * np.sign(smooth)[row], axis=1), window.sum(axis=1)]
+    if position.unit == 'rad':
+        terms += [np.sum(window * np.sin(value), axis=1), np.sum(window * np.cos(value), axis=1)]
+    return right, np.column_stack(terms)
+
+
+def _of_drive(drive: Signal, starts: Array, length_s: float) -> Array:
+    """Return int u p of every window; commands stand until the next one."""
+    row, place, weight = _samples(drive.time_s, starts, length_s)
+    if not KINDS[drive.kind].held:
+        return np.asarray(np.sum(weight * drive.value[row] * WINDOWS(place), axis=1))
+    after = drive.time_s[np.minimum(row + 1, len(drive.time_s) - 1)]
+    until = np.clip((after - starts[:, None]) / length_s, 0.0, 1.0)
+    area = WINDOWS.integ(1)
+    share = area(until) - area(np.clip(place, 0.0, 1.0))
+    return np.asarray(np.sum(drive.value[row] * share, axis=1) * length_s)
+
+
+def _samples(
+    time_s: Array, starts: Array, length_s: float
+) -> tuple[NDArray[np.intp], Array, Array]:
+    """
+    Return rows of samples in each window, where in it they are (0 to 1) and their trapezoid weights.
+
+    Arrays are (windows, samples); a window's rows begin one before it and may end behind it. Outside
+    the weight is zero.
+    """
+    first = np.searchsorted(time_s, starts, side='right') - 1
+    last = np.searchsorted(time_s, starts + length_s, side='left')
+    row = first[:, None] + np.arange(int((last - first).max()) + 1)
+    row = np.clip(row, 0, len(time_s) - 1)
+    place = (time_s[row] - starts[:, None]) / length_s
+    inside = (place >= 0.0) & (place <= 1.0)
+    return row, place, np.where(inside, np.gradient(time_s)[row], 0.0)
+
+
+def _without_gaps(signal: Signal, starts: Array, length_s: float) -> NDArray[np.bool_]:
+    """Return which windows have no gap of a signal in them."""
+    clear = np.ones(len(starts), np.bool_)
+    for begin_s, end_s in signal.gaps():
+        clear &= (starts + length_s < begin_s) | (starts > end_s)
+    return clear
+
+
+def clock_ratio(position: Signal, commanded: Signal) -> float | None:
+    """
+    Return s of q(t) = r((t - t_0) s): how much faster the position runs than its commands.
+
+    None if the position does not follow the command at any ratio between 0.7 and 1.4 to within a
+    tenth of its path, or not plainly better (half the error) than at 1, or if neither moves.
+    """
+    span = float(np.ptp(position.value))
+    if span == 0.0 or float(np.ptp(commanded.value)) < 0.1 * span:
+        return None
+    middle_s = 0.5 * (position.time_s[0] + position.time_s[-1])
+
+    def error(change: Array) -> Array:
+        ratio, shift_s = change
+        at_s = middle_s + (position.time_s - middle_s) * ratio - shift_s
+        return np.asarray(np.interp(at_s, commanded.time_s, commanded.value) - position.value)
+
+    ratios = np.linspace(0.7, 1.4, 29)
+    duration_s = position.time_s[-1] - position.time_s[0]
+    # The clocks may have been started together; then a ratio moves the middle.
+    begins = [(r, middle_s - (position.time_s[0] + 0.5 * duration_s * r)) for r in ratios]
+    best = min(begins, key=lambda begin: float(np.sum(error(np.array(begin)) ** 2)))
+    fit = least_squares(error, best, x_scale=(0.01, 0.01 * duration_s))
+    same = least_squares(lambda shift: error(np.array([1.0, shift[0]])), [0.0])
+    left, with_same = (float(np.sqrt(np.mean(one.fun**2))) for one in (fit, same))
+    if left > 0.1 * span or left > 0.5 * with_same:
+        return None
+    return float(fit.x[0])
