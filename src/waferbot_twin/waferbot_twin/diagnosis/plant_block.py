@@ -209,7 +209,7 @@ class PlantBlock:
 
 def _standing(variant: Variant, p: np.void, together: Array) -> NDArray[np.bool_]:
     """Return which coordinates (n,) are those of an axis of which no position was logged."""
-    measured = together.any(axis=0)
+    measured = np.count_nonzero(together, axis=0) > 0
     standing = np.zeros(len(measured), np.bool_)
     for place, axis in enumerate(AXES):
         own = [
@@ -267,9 +267,9 @@ def _drive(
     `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
     currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
     missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much
-    after its tick each was taken (0, 4 if never). `observer` (4,) rad/s; `together` (encoders, z) how far
-    it moves each coordinate. Coordinates of `standing` (z,) do not move. Returns the coordinate for which the
-    simulation blew up, or -1.
+    after its tick each was taken (0, 4 if never). `observer` (4,) rad/s; `together` (encoders, z) says
+    how far it moves each coordinate. Coordinates of `standing` (z,) do not move. Returns the
+    coordinate for which the simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
