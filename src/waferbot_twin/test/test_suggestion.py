@@ -151,7 +151,7 @@ def test_rivals_by_name_and_from_a_report(rigid, tmp_path):
         of_report({'causes': [known]}, rigid, None)
     with pytest.raises(UserError, match='give the axis'):
         named(['coulomb_friction', 'viscous_friction:x_rotate'], rigid)
-    with pytest.raises(UserError, match='no report'):
+    with pytest.raises(UserError, match='cannot be read'):
         read_report(tmp_path / 'other')
 
 

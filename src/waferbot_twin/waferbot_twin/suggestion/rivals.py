@@ -43,7 +43,11 @@ def read_report(path: Path) -> Mapping[str, Any]:
     file = path / 'report.json' if path.is_dir() else path
     try:
         report = json.loads(file.read_text('utf-8'))
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise UserError(
+            f'{file} cannot be read ({error.strerror}); give the folder of a diagnosis'
+        ) from None
+    except ValueError as error:
         raise UserError(f'{file} is no report of a diagnosis ({error})') from None
     if not isinstance(report, dict) or not isinstance(report.get('causes'), list):
         raise UserError(f'{file} is no report of a diagnosis: it has no causes')
