@@ -129,6 +129,9 @@ def diagnose(
     """
     Diagnose logs against a model.
 
+    Where nothing is found, the logs change roles: an effect may show in a few motions only. Either way
+    nothing is fitted to the logs that judge, and the gain is measured on those.
+
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
     """
@@ -147,6 +150,11 @@ def diagnose(
     if cogging.NAME not in without:
         effects += _cogging_of_imported_logs(problem)
     found = search(problem, judge, effects, progress, workers)
+    if not found.found.causes:
+        other = search(judge, problem, effects, progress, workers)
+        if other.found.causes:
+            found, problem, judge, finding, judging = other, judge, problem, judging, finding
+            notes.append('the logs for judging showed more: they found, and the others judged')
     withdrawn: list[Cause] = []
     axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
     if found.found.causes and _worse(axis_gains):

@@ -29,7 +29,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes, moved
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import (
     Progress,
@@ -58,6 +58,15 @@ CONFIRMS, SHARE = 8.0, 0.1
 """
 Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
 first, and this share of what it should have.
+"""
+
+
+MATERIAL = 0.025
+"""
+Share of its typical value that an effect must have where it is sought in the currents.
+
+These are replayed from sampled voltages and counts; up to 0.1 % of them is an error of the replay
+itself, and where there is little noise the largest thing that is wrong.
 """
 
 
@@ -228,6 +237,8 @@ def _confirmed(
     needed = price(item, state.found, state.tried)
     if 2.0 * (item.log_likelihood - state.found.log_likelihood) < needed:
         return None
+    if not _material(finding, item.causes[-1]):
+        return None
     try:
         judged = evaluate(judging, item.causes)
         in_finding = caused_by_command(finding, state.found, item)
@@ -244,6 +255,17 @@ def _confirmed(
         and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
     )
     return judged if sure else None
+
+
+def _material(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause is more than an error of the replay of the currents."""
+    if not {WINDINGS, CURRENT_LOOP}.intersection(problem.touched(cause.effect, cause.axis)):
+        return True
+    return any(
+        abs(cause.values[item.name] - item.neutral) >= MATERIAL * abs(item.typical - item.neutral)
+        for item in parameters_of(problem, cause)
+        if not item.shape and item.typical != item.neutral
+    )
 
 
 @dataclass(frozen=True)
