@@ -244,8 +244,8 @@ def test_a_group_counts_if_it_has_at_most_three_that_the_data_cannot_separate(
 def test_two_effects():
     one, other, false = 'backlash:y_rotate', 'cogging:y_linear', 'wafer:y_rotate'
 
-    def outcome(*names):
-        return scoring.outcome_of_two(report(*map(cause, names)), (one, other), False)
+    def outcome(*names, **rest):
+        return scoring.outcome_of_two(report(*map(cause, names), **rest), (one, other), False)
 
     assert outcome(one, other) == outcome(other, one) == 'both'
     assert outcome(one, other, false) == 'both and a false one'
@@ -253,6 +253,7 @@ def test_two_effects():
     assert outcome(one, false) == 'one and a false one'
     assert outcome(false) == 'false in place'
     assert outcome() == 'none'
+    assert outcome(withdrawn=[one]) == 'withdrawn'
 
 
 def test_nothing_and_unknown():

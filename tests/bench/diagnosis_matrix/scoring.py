@@ -69,7 +69,7 @@ def outcome_of_two(report: Report, truths: Sequence[str], inseparable: bool) -> 
     Return what became of two hidden effects.
 
     `both`, `one`, `none`, with ` and a false one` if other causes are named too; `false in place` if one
-    false cause stands for both.
+    false cause stands for both; `withdrawn` if nothing is left of what was found.
     """
     hits = [
         any(names(cause, truth, inseparable) for cause in report['causes']) for truth in truths
@@ -80,7 +80,7 @@ def outcome_of_two(report: Report, truths: Sequence[str], inseparable: bool) -> 
         if not any(names(cause, truth, inseparable) for truth in truths)
     ]
     if not any(hits):
-        return 'false in place' if false else 'none'
+        return 'false in place' if false else 'withdrawn' if report.get('withdrawn') else 'none'
     return ('both' if all(hits) else 'one') + (' and a false one' if false else '')
 
 

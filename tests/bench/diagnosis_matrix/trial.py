@@ -263,6 +263,7 @@ def _compared(
             }
             for cause in report['causes']
         ],
+        'withdrawn': report['withdrawn'],
         'unexplained': report['unexplained'],
         'inseparable': inseparable,
         'wrong_and_sure': scoring.wrong_and_sure(report, outcome),
