@@ -7,6 +7,7 @@ What is known of them was found by others, or follows from a quick fit that is w
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import savgol_filter
 
+from waferbot_twin.cli.main import main
 from waferbot_twin.logs.archive import write_archive
 from waferbot_twin.logs.load import load_log
 
@@ -120,3 +122,45 @@ def test_spin_up_has_the_published_acceleration() -> None:
     early = time_s < 0.5
     acceleration = 2.0 * np.polyfit(time_s[early], turns[early], 2)[0]
     assert acceleration == pytest.approx(43.1, rel=0.15)
+
+
+def diagnosis_of(tmp_path, model, mapping, finding, judging):
+    """Return `report.json` of a diagnosis by the commands, as docs/diagnosis.md shows it."""
+    for name, log in (('finding', finding), ('judging', judging)):
+        assert main(['import', str(log), '--map', mapping, '--out', str(tmp_path / name)]) == 0
+    folder = tmp_path / 'report'
+    arguments = [tmp_path / 'finding', '--validate', tmp_path / 'judging', '--out', folder]
+    assert main(['diagnose', *map(str, arguments), '--model', model]) == 0
+    return json.loads((folder / 'report.json').read_text('utf-8'))
+
+
+@pytest.mark.slow
+def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
+    """A dry friction, of which the log leaves open whether it grows with the load of the gear."""
+    data = path_of('dfki_simple_pendulum')
+    finding, judging = (
+        data / name / 'data_measured.csv' for name in ('ddp', 'direct_collocation')
+    )
+    report = diagnosis_of(tmp_path, 'geared_pendulum', 'dfki_pendulum', finding, judging)
+    (cause,) = report['causes']
+    assert 'coulomb_friction' in str([cause['effect'], cause['cannot_tell_from']])
+    if cause['effect'] == 'coulomb_friction':
+        assert 0.15 < cause['parameters']['friction']['value'] < 0.25
+    assert report['gain']['axes']['y_rotate']['improvement_percent'] > 15.0
+    assert any('1.113 times as fast' in note for note in report['notes'])
+
+
+@pytest.mark.slow
+def test_cogging_of_the_motor_comes_out(tmp_path) -> None:
+    """Orders of magnets and slots; the largest against least squares of the current on the position."""
+    data = path_of('odrive_cogging', 'slow_velocity')
+    report = diagnosis_of(
+        tmp_path, 'direct_drive_motor', 'odrive_slow_velocity',
+        data / 'nocomp_0.npy', data / 'nocomp_1.npy',
+    )  # fmt: skip
+    causes = {cause['effect']: cause for cause in report['causes']}
+    found = {key: item['value'] for key, item in causes['cogging']['parameters'].items()}
+    assert {7, 12, 14, 28} <= {int(key.split('_')[1]) for key in found}
+    assert np.hypot(found['cosine_7'], found['sine_7']) == pytest.approx(0.044, rel=0.2)
+    assert causes.keys() & {'viscous_friction', 'coulomb_friction'}
+    assert report['gain']['axes']['x_rotate']['improvement_percent'] > 80.0
