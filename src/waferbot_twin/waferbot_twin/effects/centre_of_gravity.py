@@ -57,4 +57,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='torque = m g x offset',
+    usual=True,
 )

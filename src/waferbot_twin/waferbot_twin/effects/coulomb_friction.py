@@ -30,4 +30,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = friction sign(v)',
+    usual=True,
 )

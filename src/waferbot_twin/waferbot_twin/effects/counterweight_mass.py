@@ -52,4 +52,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation="(M + mass) x'' = ... + mass g",
+    usual=True,
 )

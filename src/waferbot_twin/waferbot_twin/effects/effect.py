@@ -71,7 +71,8 @@ class Effect:
     `axes(variant)` the axes on which it makes sense; `overlay(variant, axis, values)` what it changes
     in a model that has none of it; `trials` other sets of shape parameters to begin a fit from;
     `equation` is for the documentation. An effect with a `threshold` (a limit, a gap) changes nothing
-    while it is small: its signature must be sought at typical values, not near the neutral ones.
+    while it is small: its signature must be sought at typical values, not near the neutral ones. Of a
+    `usual` one every machine has some: where a model is far off, it is likely among what lacks.
     """
 
     name: str
@@ -83,6 +84,7 @@ class Effect:
     trials: Trials = one_trial
     equation: str = ''
     threshold: bool = False
+    usual: bool = False
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""

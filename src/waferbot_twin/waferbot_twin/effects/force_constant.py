@@ -29,4 +29,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='k = ratio k_model',
+    usual=True,
 )

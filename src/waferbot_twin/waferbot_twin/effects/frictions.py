@@ -24,11 +24,14 @@ ON_AXIS = (
 )
 """Effects with a slot on the coordinate of the axis."""
 
-ON_MOTOR = ('load_dependent_friction',)
+ON_MOTOR = ('gearbox_friction', 'load_dependent_friction')
 """Effects with a slot on the coordinate of the motor."""
 
-DAMPING = 'viscous_friction'
-"""The effect whose slot is a viscous damper."""
+DAMPING = ('gearbox_damping', 'viscous_friction')
+"""Effects whose slot is a viscous damper."""
+
+OF_GEARBOX = ('gearbox_damping', 'gearbox_friction')
+"""Effects with a slot only where a transmission is between motor and axis."""
 
 
 def slot(
@@ -55,11 +58,25 @@ def slot(
     return {'frictions': {f'{axis}_{effect}': entry}}
 
 
-def damper(variant: Variant, axis: str, damping: float) -> dict[str, Any]:
-    """Return the part of a description that fills the slot of viscous friction, N s/m, Nm s/rad."""
-    key = 'damping_nm_s_rad' if places.rotary(variant, axis) else 'damping_n_s_m'
-    entry = {'coordinate': places.coordinate(variant, axis), key: damping}
-    return {'dampers': {f'{axis}_{DAMPING}': entry}}
+def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str, Any]:
+    """Return the part of a description that fills a slot of damping, N s/m, Nm s/rad."""
+    on_motor = effect in OF_GEARBOX
+    turns = (places.motor_rotary if on_motor else places.rotary)(variant, axis)
+    entry = {
+        'coordinate': (places.motor_coordinate if on_motor else places.coordinate)(variant, axis),
+        'damping_nm_s_rad' if turns else 'damping_n_s_m': damping,
+    }
+    return {'dampers': {f'{axis}_{effect}': entry}}
+
+
+def slots_of(variant: Variant, axis: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the effects that have a slot on an axis: of dry friction, and of damping."""
+    geared = axis in places.geared_axes(variant)
+    dry, viscous = (
+        tuple(effect for effect in effects if geared or effect not in OF_GEARBOX)
+        for effects in ((*ON_AXIS, *ON_MOTOR), DAMPING)
+    )
+    return dry, viscous
 
 
 def slots(axis: str) -> tuple[str, ...]:

@@ -30,13 +30,15 @@ def host(variant: Variant) -> Variant:
         'dampers': {},
     }
     for axis in places.motor_axes(variant):
-        for effect in (*frictions.ON_AXIS, *frictions.ON_MOTOR):
+        dry, viscous = frictions.slots_of(variant, axis)
+        for effect in dry:
             if f'{axis}_{effect}' not in description.frictions:
                 machine['frictions'] |= frictions.slot(variant, axis, effect, [0.0], [0.0])[
                     'frictions'
                 ]
-        if f'{axis}_{frictions.DAMPING}' not in description.dampers:
-            machine['dampers'] |= frictions.damper(variant, axis, 0.0)['dampers']
+        for effect in viscous:
+            if f'{axis}_{effect}' not in description.dampers:
+                machine['dampers'] |= frictions.damper(variant, axis, effect, 0.0)['dampers']
     roomy = variant.with_overlay(Overlay({name: part for name, part in machine.items() if part}))
     return replace(roomy, origin=None)
 

@@ -61,6 +61,15 @@ def motor_rotary(variant: Variant, axis: str) -> bool:
     return bool(variant.description.revolute[motor_coordinate(variant, axis)])
 
 
+def geared_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a transmission between motor and axis."""
+    return tuple(
+        axis
+        for axis in motor_axes(variant)
+        if motor_coordinate(variant, axis) != coordinate(variant, axis)
+    )
+
+
 def moves_with(variant: Variant, axis: str, name: str) -> bool:
     """Return whether coordinate `name` is tied to the axis if nothing gives."""
     placing = variant.rigid.placing

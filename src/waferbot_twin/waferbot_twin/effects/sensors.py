@@ -49,9 +49,8 @@ def motor_measured_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose motor has an encoder beside that of the axis."""
     return tuple(
         axis
-        for axis in places.motor_axes(variant)
-        if places.motor_coordinate(variant, axis) != places.coordinate(variant, axis)
-        and _on(variant, places.motor_coordinate(variant, axis)) is not None
+        for axis in places.geared_axes(variant)
+        if _on(variant, places.motor_coordinate(variant, axis)) is not None
     )
 
 
@@ -167,4 +166,5 @@ def delay_effect(
         parameters,
         changes,
         equation='n_shown(t) = n(t - delay)',
+        usual=True,
     )

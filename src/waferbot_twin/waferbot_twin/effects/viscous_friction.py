@@ -17,7 +17,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    return Overlay(frictions.damper(variant, axis, values['damping']))
+    return Overlay(frictions.damper(variant, axis, 'viscous_friction', values['damping']))
 
 
 EFFECT = Effect(
@@ -28,4 +28,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = damping v',
+    usual=True,
 )

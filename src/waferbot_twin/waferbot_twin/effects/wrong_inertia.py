@@ -34,4 +34,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='M = M_model + mass (inertia)',
+    usual=True,
 )
