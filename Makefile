@@ -15,7 +15,7 @@ RUN := ./waferbot --exec
 .PHONY: help build demo test test-fast lint bench bench-diagnosis clean
 
 help:
-	@echo 'make demo       set up, run the twin over ROS 2, record it, print and plot the result'
+	@echo 'make demo       set up, run the twin over ROS 2, diagnose logs of a machine'
 	@echo 'make test       linters, type checker and all tests (what CI runs)'
 	@echo 'make test-fast  linters and the tests that need no ROS processes (under 2 minutes)'
 	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'

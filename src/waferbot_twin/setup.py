@@ -15,6 +15,12 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config/models', glob('config/models/*.*')),
         ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
+        ('share/' + package_name + '/config/demo', glob('config/demo/*.yaml')),
+        *(
+            ('share/' + package_name + '/' + log, glob(log + '/*.*'))
+            for log in sorted(glob('config/demo/*'))
+            if not log.endswith('.yaml')
+        ),
         ('share/' + package_name + '/launch', glob('launch/*.*')),
     ],
     install_requires=['setuptools'],

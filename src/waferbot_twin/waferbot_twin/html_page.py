@@ -40,10 +40,15 @@ def html_page(title: str, body: Iterable[str]) -> str:
 def picture(figure: Figure) -> str:
     """Return a figure as an image inside the page, and close it."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=100, metadata={'Software': 'waferbot'})
-    plt.close(figure)
+    save_picture(figure, buffer)
     data = base64.b64encode(buffer.getvalue()).decode()
     return f'<img alt="" src="data:image/png;base64,{data}">'
+
+
+def save_picture(figure: Figure, file: Path | io.BytesIO) -> None:
+    """Write a figure as PNG, and close it."""
+    figure.savefig(file, dpi=100, format='png', metadata={'Software': 'waferbot'})
+    plt.close(figure)
 
 
 def prepare_folder(folder: Path, force: bool) -> None:

@@ -1,27 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Show the twin at work: three ROS 2 nodes in lock-step, a step on each axis, recorded and plotted.
+Show the twin at work, and what it is for: to find what a model of a machine gets wrong.
 
-The same run is then repeated in one process without ROS and compared bit by bit, and each node is
-replayed alone against the recording.
+First three ROS 2 nodes in lock-step make a step on each axis, recorded and plotted; the same run is
+repeated in one process without ROS and compared bit by bit, and each node is replayed alone against the
+recording.
+
+Then logs that come with the package, of the machine as built, are diagnosed against the rigid model, as
+in chapters 4 and 6 of the thesis: what lacks, the model extended by it, and what that gains in the
+thesis' steps, beside what its flexible model gained over its rigid one.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ament_index_python.packages import get_package_share_directory
 from rich.table import Table
 
 from waferbot_twin.cli import run
-from waferbot_twin.cli.console import print_json, result_console, say
+from waferbot_twin.cli.console import print_json, progress_bar, result_console, say
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import axis_responses
+
+if TYPE_CHECKING:
+    from waferbot_twin.diagnosis.diagnose import Diagnosis
+
+FINDING, JUDGING = ('moves', 'random_steps'), ('steps',)
+"""Logs in `config/demo`: those that causes are found in, and the thesis' steps that judge."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,12 +46,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def execute(options: argparse.Namespace) -> int:
-    """Run, compare, replay, print and plot."""
+    """Run, compare, replay, diagnose; print and plot."""
+    at_work = _at_work(options.out)
+    if not options.json:
+        _print(at_work)
+    diagnosis = _diagnose(options.out / 'diagnosis')
+    if options.json:
+        from waferbot_twin.diagnosis.report import as_dict
+
+        print_json({**at_work, 'diagnosis': as_dict(diagnosis)})
+    else:
+        _print_diagnosis(diagnosis, options.out / 'diagnosis')
+    same = not at_work['differing_signals'] and all(at_work['replay_identical'].values())
+    return 0 if same else 1
+
+
+def _at_work(folder: Path) -> dict[str, Any]:
+    """Run the twin over ROS and in one process, compare, replay and plot."""
     from waferbot_twin.models import NODES
     from waferbot_twin.plot import plot_recording
     from waferbot_twin.replay import replay_in_process
 
-    folder: Path = options.out
     plan = make_plan('rigid', 'step')
     say('Three nodes over ROS 2: plant, pmac, copley.')
     over_ros = run.run_plan(plan, _run_options('ros', folder / 'ros'))
@@ -60,7 +88,7 @@ def execute(options: argparse.Namespace) -> int:
         for response in axis_responses(recording)
         if (figures := response.metrics()) is not None
     }
-    result = {
+    return {
         'ros': over_ros,
         'inprocess': in_process,
         'differing_signals': different,
@@ -68,11 +96,47 @@ def execute(options: argparse.Namespace) -> int:
         'metrics': metrics,
         'picture': str(picture),
     }
-    if options.json:
-        print_json(result)
-    else:
-        _print(result)
-    return 0 if not different and all(replayed.values()) else 1
+
+
+def logs() -> Path:
+    """Return the folder of the logs that come with the package."""
+    return Path(get_package_share_directory('waferbot_twin')) / 'config' / 'demo'
+
+
+def _diagnose(folder: Path) -> Diagnosis:
+    """Diagnose the logs that come with the package against the rigid model."""
+    from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+    from waferbot_twin.diagnosis.report import write
+    from waferbot_twin.effects.variant import Variant
+    from waferbot_twin.html_page import prepare_folder
+    from waferbot_twin.models import load_model
+
+    say('Logs of the machine as built, against the rigid model: what does it get wrong?')
+    nominal = Variant.of(load_model('rigid'))
+    finding = load_records([logs() / name for name in FINDING], nominal)
+    judging = load_records([logs() / name for name in JUDGING], nominal)
+    prepare_folder(folder, force=True)
+    with progress_bar('diagnosis') as bar:
+        diagnosis = diagnose(
+            nominal,
+            finding,
+            judging,
+            lambda what, done, total: bar(done, total),
+            os.cpu_count() or 1,
+        )
+    write(diagnosis, folder)
+    return diagnosis
+
+
+def _print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
+    from waferbot_twin.diagnosis.console_report import print_diagnosis
+    from waferbot_twin.thesis import thesis
+
+    steps = thesis()['steps']
+    gains = {axis: float(steps[axis]['improvement']['rms_error']) for axis in steps}
+    print_diagnosis(diagnosis, gains, 'flexible over rigid in the thesis [%]')
+    print(f'report:  {folder / "report.html"}')
+    print(f'model:   ./waferbot run --model {folder / "extended.yaml"}')
 
 
 def _run_options(engine: str, out: Path) -> argparse.Namespace:

@@ -16,7 +16,7 @@ import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import print_json, progress_bar, say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,8 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
     from waferbot_twin.cluster import cluster
+    from waferbot_twin.diagnosis.console_report import print_diagnosis
     from waferbot_twin.diagnosis.diagnose import diagnose, load_records
-    from waferbot_twin.diagnosis.report import as_dict, sentence, write
+    from waferbot_twin.diagnosis.report import as_dict, write
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
@@ -72,15 +73,6 @@ def execute(options: argparse.Namespace) -> int:
     if options.json:
         print_json(as_dict(diagnosis))
         return 0
-    table = new_table('log, axis', 'RMS nominal', 'RMS extended', 'improvement [%]')
-    for item in diagnosis.gains:
-        table.add_row(
-            f'{item.log}, {item.axis}',
-            f'{item.rms_before:.4g} {item.unit}',
-            f'{item.rms_after:.4g} {item.unit}',
-            f'{item.improvement_percent:.2f}',
-        )
-    result_console.print(table)
-    print(sentence(diagnosis))
+    print_diagnosis(diagnosis)
     say(f'report: {options.out / "report.html"}')
     return 0

@@ -31,9 +31,11 @@ from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, a
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
+from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.effects import cogging, library
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
+from waferbot_twin.effects.places import motor_axes, moves_with
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.bags import is_bag, read_bag
 from waferbot_twin.logs.load import load_log
@@ -156,17 +158,33 @@ def diagnose(
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
     withdrawn: list[Cause] = []
-    axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
-    if found.found.causes and _worse(axis_gains):
+    try:
+        axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
+        wins = not _worse(axis_gains)
+    except UserError as error:
+        if not found.found.causes:
+            raise
+        wins = False
+        notes.append(f'the extended model does not run in closed loop ({error})')
+    if found.found.causes and not wins:
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
         axis_gains = gains(nominal, nominal, list(judging))
-    unexplained = _left_over(problem, judge, found, progress, workers)
+    far_axes = _plant_left_over(problem, found)
+    unexplained = [] if far_axes else _left_over(problem, judge, found, progress, workers)
     extended = apply_all(nominal, (*found.found.causes, *unexplained))
     if unexplained:
         axis_gains = gains(nominal, extended, list(judging))
     where = _where(problem, found)
-    places = [cause.axis for cause in unexplained] + _controller_left_over(problem, found)
+    places = [cause.axis for cause in unexplained] + far_axes
+    places += _controller_left_over(problem, found)
+    if far_axes and found.found.causes:
+        notes.append(
+            'what is left over on '
+            + ', '.join(far_axes)
+            + ' is no noise: the machine differs in more than the causes found, and their values are '
+            'those that stand in for it best'
+        )
     causes = _found_causes(problem, found)
     return Diagnosis(
         nominal,
@@ -241,6 +259,23 @@ def _left_over(
         with_causes, judge_with, tables(problem.nominal, problem.records), progress, workers
     )
     return list(rest.found.causes)
+
+
+def _plant_left_over(problem: Problem, found: Search) -> list[str]:
+    """Return the axes on which the plant with all causes still moves as no noise would make it."""
+    variant = problem.nominal
+    coordinates = {
+        variant.description.encoders[name].coordinate
+        for name, is_far in zip(
+            problem.channel_names(PLANT), far_channels(found.found), strict=True
+        )
+        if is_far
+    }
+    return [
+        axis
+        for axis in motor_axes(variant)
+        if any(moves_with(variant, axis, name) for name in coordinates)
+    ]
 
 
 def _controller_left_over(problem: Problem, found: Search) -> list[str]:

@@ -31,7 +31,7 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES
 from waferbot_plant import current_sensors, motors, windings
 from waferbot_twin.diagnosis.motor_motion import MotorMotion
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array, Record, mean_over_ticks
 from waferbot_twin.effects.places import amplified_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import open_terminals
@@ -179,6 +179,30 @@ class CurrentLoopBlock:
             computed,
         )
         return self._lines.means(measured - computed)
+
+
+def driven_currents(record: Record, variant: Variant) -> Array:
+    """
+    Return line currents (ticks, 6) for a log without any, A: what the model's drive makes of commands.
+
+    Amplifiers and windings are those of the model, and move as the encoders say. Where amplifier,
+    command or motion of an axis is not known, the record's own currents stay.
+    """
+    known = set(_commanded_places(record, variant)) & set(_moved_places(record, variant))
+    settings = amplifier_parameters(variant.copley, record.timing, variant.name)
+    computed = np.zeros_like(record.line_current)
+    _run_current_loop(
+        *_windings(record, variant, MotorMotion(record), np.nan_to_num(record.line_current[0])),
+        amplifier.initial_state(settings),
+        settings,
+        *_amplifier_inputs(record),
+        computed,
+    )
+    computed = mean_over_ticks(computed)
+    columns = [LINES * place + line for place in sorted(known) for line in range(LINES)]
+    currents = record.line_current.copy()
+    currents[:, columns] = computed[:, columns]
+    return currents
 
 
 def _commanded_places(record: Record, variant: Variant) -> list[int]:

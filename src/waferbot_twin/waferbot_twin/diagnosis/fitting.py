@@ -1,15 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fit of all parameters of a set of causes, through the simulation."""
+"""
+Fit of all parameters of a set of causes, through the simulation.
+
+Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
+success, and within the bounds of the parameters (a bounded linear least-squares problem): a
+compliance that shrinks to nothing stops there while the others go on.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
+from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
-from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side
+from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side, whitened_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.effects.effect import Parameter
@@ -18,53 +27,157 @@ ROUNDS = 8
 ENOUGH = 0.02
 """Gain in ln L below which another round is not worth its time."""
 
+REACH, SHORTEST = 100.0, 0.01
+"""First and shortest reach of a step, in widths of each parameter."""
+
 Names = Sequence[tuple[int, Parameter]]
 
 
-def fit_causes(problem: Problem, causes: tuple[Cause, ...], rounds: int = ROUNDS) -> Hypothesis:
+@dataclass(frozen=True)
+class Linear:
+    """
+    A problem about a hypothesis: change of residuals by the signatures of all its parameters.
+
+    `value` (k,) the change that makes the logs most likely and its `covariance` (k, k); `matrix`
+    (k, k) and `right` (k,) the same problem as a triangular one, |matrix x - right|^2 to be least.
+    """
+
+    value: Array
+    covariance: Array
+    matrix: Array
+    right: Array
+
+
+def fit_causes(
+    problem: Problem,
+    causes: tuple[Cause, ...],
+    rounds: int = ROUNDS,
+    workers: int = 1,
+    enough: float = ENOUGH,
+) -> Hypothesis:
     """
     Return the causes with the values that make the logs most likely.
 
-    Gauss-Newton in the whitened residuals; a step that does not make them more likely is shortened.
-    Raises `UserError` if the simulation blows up where the fit begins.
+    The fit ends when a round gains less than `enough` in ln L. Raises `UserError` if the simulation
+    blows up where the fit begins.
     """
     now = evaluate(problem, causes)
-    names = [
-        (place, item)
-        for place, cause in enumerate(causes)
-        for item in parameters_of(problem, cause)
-    ]
+    names = names_of(problem, causes)
+    reach = REACH
     for _ in range(rounds if names else 0):
-        change, now.covariance = _newton_step(problem, now, names)
-        better = _along(problem, now, names, change)
+        linear = linearise(problem, now, names, workers)
+        now.covariance = linear.covariance
+        better, reach = _step(problem, now, names, linear, reach)
         if better is None:
             break
-        better.covariance = now.covariance
+        better.covariance = linear.covariance
         gain = better.log_likelihood - now.log_likelihood
         now = better
-        if gain < ENOUGH:
+        if gain < enough:
             break
     return now
 
 
-def _along(problem: Problem, now: Hypothesis, names: Names, change: Array) -> Hypothesis | None:
-    """Return the first better hypothesis in the direction of `change`, None if there is none."""
-    for share in (1.0, 0.4, 0.1):
+def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
+    """Return every parameter of the causes, with the place of its cause."""
+    return [
+        (place, item)
+        for place, cause in enumerate(causes)
+        for item in parameters_of(problem, cause)
+    ]
+
+
+def _step(
+    problem: Problem, now: Hypothesis, names: Names, linear: Linear, reach: float
+) -> tuple[Hypothesis | None, float]:
+    """Return the first better hypothesis within ever shorter reaches, or None, and the next reach."""
+    while reach >= SHORTEST:
+        change = _bounded(now.causes, names, linear, reach)
         try:
-            tried = evaluate(problem, moved(now.causes, names, share * change))
+            tried = evaluate(problem, moved(now.causes, names, change))
         except UserError:
-            continue
+            tried = now
         if tried.log_likelihood > now.log_likelihood:
-            return tried
-    return None
+            return tried, 2.0 * reach
+        widths = _widths(now.causes, names)
+        reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
+    return None, reach
 
 
-def _newton_step(problem: Problem, now: Hypothesis, names: Names) -> tuple[Array, Array]:
-    """Return the linear estimate of the change of all parameters, and its covariance."""
-    own = [signature(problem, now, now.causes, place) for place in range(len(now.causes))]
+def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: float) -> Array:
+    """Return the best change of all parameters within their bounds and within reach."""
+    widths = _widths(causes, names)
+    low, high = _room(causes, names)
+    low, high = np.maximum(low, -reach * widths), np.minimum(high, reach * widths)
+    if np.all((linear.value >= low) & (linear.value <= high)):
+        return linear.value
+    return _least(linear.matrix, linear.right, low, high)
+
+
+def without(
+    causes: tuple[Cause, ...], names: Names, linear: Linear, place: int
+) -> tuple[Cause, ...]:
+    """Return the causes without one, the others moved to make up for it as far as they can."""
+    own = np.array([cause == place for cause, _ in names])
+    away = np.array([item.neutral - causes[cause].values[item.name] for cause, item in names])
+    low, high = _room(causes, names)
+    change = np.zeros(len(names))
+    change[~own] = _least(
+        linear.matrix[:, ~own],
+        -linear.matrix[:, own] @ away[own],
+        low[~own],
+        high[~own],
+    )
+    after = moved(causes, names, change)
+    return (*after[:place], *after[place + 1 :])
+
+
+def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
+    """Return how far every parameter can go down and up."""
+    values = np.array([causes[place].values[item.name] for place, item in names])
+    return (
+        np.array([item.low for _, item in names]) - values,
+        np.array([item.high for _, item in names]) - values,
+    )
+
+
+def _least(matrix: Array, right: Array, low: Array, high: Array) -> Array:
+    """Return where |matrix x - right|^2 is least between bounds (which may coincide)."""
+    if not len(low):
+        return np.zeros(0)
+    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    margin = 1e-9 * (1.0 + np.abs(low * scale))
+    found = lsq_linear(
+        matrix / scale, right, (low * scale - margin, high * scale + margin), method='bvls'
+    )
+    return np.asarray(np.clip(found.x / scale, low, high), np.float64)
+
+
+def _widths(causes: Sequence[Cause], names: Names) -> Array:
+    """Return how far it is usual to move each parameter."""
+    return np.array(
+        [
+            max(
+                abs(item.typical - item.neutral),
+                abs(causes[place].values[item.name] - item.neutral),
+                1e-12,
+            )
+            for place, item in names
+        ]
+    )
+
+
+def linearise(problem: Problem, now: Hypothesis, names: Names, workers: int = 1) -> Linear:
+    """Return the linear problem about a hypothesis."""
+    own = Parallel(n_jobs=workers)(
+        delayed(signature)(problem, now, now.causes, place) for place in range(len(now.causes))
+    )
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
-    estimate = fit_jointly(problem, now.residuals, side_by_side(own, counts))
-    return estimate.value, estimate.covariance
+    together = side_by_side(own, counts)
+    estimate = fit_jointly(problem, now.residuals, together)
+    system, right = whitened_jointly(now.residuals, together, estimate)
+    orthogonal, triangle = np.linalg.qr(system)
+    return Linear(estimate.value, estimate.covariance, triangle, orthogonal.T @ right)
 
 
 def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ from waferbot_lockstep.contract import (
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.commutation import electrical_angle
-from waferbot_twin.diagnosis.record import Array, Record, Terminals
+from waferbot_twin.diagnosis.drive_block import driven_currents
+from waferbot_twin.diagnosis.record import Array, Record, Terminals, mean_over_ticks
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals
 from waferbot_twin.recording.reader import Recording, read_recording
@@ -30,7 +32,7 @@ def record_of_signals(name: str, signals: Signals) -> Record:
     return Record(
         name,
         signals.timing,
-        _mean_over_ticks(signals.line_current),
+        mean_over_ticks(signals.line_current),
         signals.counts.astype(float),
         np.ascontiguousarray(signals.servo_state[:, : len(AXES)]),
         signals.current_command.copy(),
@@ -44,8 +46,8 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
     """
     Return the record of a recording that has encoders and currents (or current commands).
 
-    Where currents were not recorded the amplifiers are taken to do what they are told. Raises
-    `UserError` if that lacks too, or if ticks are missing.
+    Where currents were not recorded they are those that the model's amplifiers and windings make of the
+    commands. Raises `UserError` if commands lack too, or if ticks are missing.
     """
     return record_of(read_recording(path), path, variant)
 
@@ -66,7 +68,7 @@ def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
     if PHASE_CURRENTS.name in recording.topics:
         currents = _whole(recording, PHASE_CURRENTS.name, 1)
         terminals = _terminals(recording, np.array(currents['current'], float))
-        line_current = _mean_over_ticks(terminals.current)
+        line_current = mean_over_ticks(terminals.current)
     elif command is not None:
         line_current = _as_commanded(command, encoders, variant, timing, ticks)
     else:
@@ -74,7 +76,7 @@ def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
     ticks = min(ticks, len(line_current))
     cycles = ticks // timing.servo_divider
     ticks = cycles * timing.servo_divider
-    return Record(
+    record = Record(
         path.name,
         timing,
         line_current[:ticks],
@@ -83,6 +85,9 @@ def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
         None if command is None else np.ascontiguousarray(command[:cycles]),
         terminals=None if terminals is None else terminals.part(slice(ticks)),
     )
+    if terminals is not None or not variant.copley:
+        return record
+    return replace(record, line_current=driven_currents(record, variant))
 
 
 def _terminals(recording: Recording, current: Array) -> Terminals:
@@ -107,11 +112,6 @@ def _whole(recording: Recording, name: str, spacing: int) -> np.ndarray:
         raise UserError(f'{recording.path}: topic {name} does not begin at tick 0')
     gaps = np.flatnonzero(np.diff(array['tick'].astype(np.int64)) != spacing)
     return array[: int(gaps[0]) + 1] if len(gaps) else array
-
-
-def _mean_over_ticks(current: Array) -> Array:
-    """Return the mean of each tick's current, from the values at its beginning and end."""
-    return 0.5 * (current + np.vstack([current[1:], current[-1:]]))
 
 
 def _as_commanded(

@@ -52,7 +52,7 @@ def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
 
 
 def draw_gains(gains: Sequence[AxisGain]) -> Figure:
-    """Draw measured position, and errors of both models, for every axis of the first judging log."""
+    """Draw positions and errors of both models for every axis of the first judging log."""
     log = gains[0].log if gains else ''
     items = [item for item in gains if item.log == log]
     figure, panels = plt.subplots(
@@ -61,9 +61,20 @@ def draw_gains(gains: Sequence[AxisGain]) -> Figure:
     )  # fmt: skip
     for column, item in enumerate(items):
         factor, unit = scaled_unit(item.measured - item.measured[0], item.unit)
-        panels[0][column].plot(item.time_s, item.measured * factor, color=MEASURED, lw=1.0)
-        panels[0][column].set_title(TITLES[item.axis])
-        panels[0][column].set_ylabel(f'measured [{unit}]')
+        for error, colour, label in (
+            (item.error_before, BEFORE, 'nominal model'),
+            (item.error_after, AFTER, 'extended model'),
+        ):
+            simulated = (item.measured + error) * factor
+            panels[0][column].plot(item.time_s, simulated, color=colour, lw=1.0, label=label)
+        panels[0][column].plot(
+            item.time_s, item.measured * factor, color=MEASURED, lw=1.0, ls=':', label='measured'
+        )
+        panels[0][column].set_title(
+            f'{TITLES[item.axis]}: {item.improvement_percent:.0f} % better'
+        )
+        panels[0][column].set_ylabel(f'position [{unit}]')
+        panels[0][column].legend(fontsize=8, loc='best')
         factor, unit = scaled_unit(item.error_before, item.unit)
         for error, colour, label in (
             (item.error_before, BEFORE, f'nominal, RMS {item.rms_before * factor:.3g} {unit}'),

@@ -14,7 +14,7 @@ import numpy as np
 
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import Fit, fit
+from waferbot_twin.diagnosis.whitening import Fit, fit, whitened
 
 Signature = dict[str, Array]
 """By block, what parameters change in its residuals: (samples of all channels, parameters)."""
@@ -53,4 +53,17 @@ def fit_jointly(
         [floor for block in blocks for floor in problem.floors(block)],
         [order for block in blocks for order in problem.orders(block)],
         rounds,
+    )
+
+
+def whitened_jointly(
+    residuals: Residuals, signature: Signature, estimate: Fit
+) -> tuple[Array, Array]:
+    """Return the white rows of all blocks, as `whitening.whitened`, with the filters of a joint fit."""
+    blocks = list(signature)
+    return whitened(
+        [channel for block in blocks for channel in residuals[block]],
+        [part for block in blocks for part in by_channel(signature[block], residuals[block])],
+        estimate.filters,
+        estimate.deviations,
     )

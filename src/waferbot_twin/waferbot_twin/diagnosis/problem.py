@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -23,6 +24,9 @@ AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
 
 UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURRENT_LOOP: 'A'}
 """The blocks that can be replayed alone, and the unit of their residuals."""
+
+ROUGH = 5.0
+"""Floors below which a residual is as good as nothing, where the model is far from the machine."""
 
 ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
 """The sections of a description that the windings depend on: the motion is measured, by encoders."""
@@ -69,6 +73,7 @@ class Problem:
         """Prepare every block that the logs have the signals for."""
         self.nominal = nominal
         self.records = tuple(records)
+        self.whitens = True
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
@@ -122,12 +127,27 @@ class Problem:
         variant = apply_all(self.nominal, causes)
         return Problem(self.nominal, [simulate(variant, record) for record in self.records])
 
+    def coarse(self) -> Problem:
+        """
+        Return the same problem with residuals as they are, not whitened.
+
+        Far from the truth what is left over is no noise, and whitening would take out the very
+        thing that shows the way. What is below `ROUGH` floors is as good as nothing there, so that
+        noise of one channel is not paid for with the motion of another.
+        """
+        other = copy.copy(self)
+        other.whitens = False
+        return other
+
     def floors(self, block: str) -> list[float]:
         """Return the smallest deviation of every channel of a block."""
-        return [floor for part in self.blocks[block] for floor in part.floors]
+        factor = 1.0 if self.whitens else ROUGH
+        return [factor * floor for part in self.blocks[block] for floor in part.floors]
 
     def orders(self, block: str) -> list[int]:
         """Return the order of the autoregression that whitens every channel of a block."""
+        if not self.whitens:
+            return [0] * len(self.floors(block))
         return [part.order for part in self.blocks[block] for _ in part.floors]
 
     def channel_names(self, block: str) -> list[str]:

@@ -20,7 +20,7 @@ from waferbot_twin.diagnosis.diagnose import Alike, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import UNITS
-from waferbot_twin.html_page import html_page, picture
+from waferbot_twin.html_page import html_page, picture, save_picture
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 
@@ -29,27 +29,22 @@ SCHEMA = 1
 ROUNDING = 1e-9
 """RMS residual (counts, A or V) below which nothing is left over."""
 
+MOST_NAMED = 6
+"""How many causes the sentence names; all of them are in the table."""
+
 NORMAL_95 = 1.96
 
 
 def sentence(diagnosis: Diagnosis) -> str:
     """Return which effect, on which axis, how sure, what it gains, and what stays unexplained."""
-    parts = []
-    for found in diagnosis.causes:
-        cause = found.cause
-        values = ', '.join(
-            f'{item.name} {significant(cause.values[item.name])} {item.unit}'.rstrip()
-            for item in found.parameters
-        )
-        text = f'{cause.effect.name} on {TITLES[cause.axis]} ({values}; {_sure(found)})'
-        if found.alike:
-            text += f', which this data cannot tell from {", ".join(map(_alike, found.alike))}'
-        parts.append(text)
+    parts = [_one_cause(found) for found in diagnosis.causes]
     if not parts and not diagnosis.unexplained_where:
         return 'Nothing significant is wrong: the model explains the logs.'
     lines = []
     if parts:
-        lines.append('The machine has ' + '; '.join(parts) + '.')
+        more = len(parts) - MOST_NAMED
+        rest = f'; and {more} more' if more > 0 else ''
+        lines.append('The machine has ' + '; '.join(parts[:MOST_NAMED]) + rest + '.')
         best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
         if best is not None and best.improvement_percent > 0.0:
             lines.append(
@@ -67,6 +62,18 @@ def sentence(diagnosis: Diagnosis) -> str:
 
 def _alike(item: Alike) -> str:
     return f'{item.cause.name} (correlation of their signatures {item.correlation:.3f})'
+
+
+def _one_cause(found: FoundCause) -> str:
+    cause = found.cause
+    values = ', '.join(
+        f'{item.name} {significant(cause.values[item.name])} {item.unit}'.rstrip()
+        for item in found.parameters
+    )
+    text = f'{cause.effect.name} on {TITLES[cause.axis]} ({values}; {_sure(found)})'
+    if found.cannot_tell_from:
+        text += f', which this data cannot tell from {", ".join(map(_alike, found.alike))}'
+    return text
 
 
 def _sure(found: FoundCause) -> str:
@@ -145,7 +152,7 @@ def _unexplained(diagnosis: Diagnosis) -> dict[str, Any] | None:
 
 
 def write(diagnosis: Diagnosis, folder: Path) -> None:
-    """Write `report.json`, `report.html` and `extended.yaml` into an existing folder."""
+    """Write `report.json`, `report.html`, `gain.png` and `extended.yaml` into an existing folder."""
     (folder / 'report.json').write_text(as_json(finite(as_dict(diagnosis))) + '\n', 'utf-8')
     names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
@@ -153,6 +160,7 @@ def write(diagnosis: Diagnosis, folder: Path) -> None:
     text = extended.machine_text if extended.is_machine_alone else extended.model().text
     (folder / 'extended.yaml').write_text(header + text, 'utf-8')
     (folder / 'report.html').write_text(page(diagnosis), 'utf-8')
+    save_picture(draw_gains(diagnosis.gains), folder / 'gain.png')
 
 
 def page(diagnosis: Diagnosis) -> str:

@@ -10,8 +10,9 @@ From residuals to causes.
        2 (ln L_1 - ln L_0) > k ln N + 4 ln M,
 
    and if the logs kept for judging, with another motion, become more likely too.
-4. Again from 1 until nothing is taken. Then each cause is taken out in turn, to see whether the others
-   can do without it.
+4. Again from 1 until nothing is taken. If what is left of the plant is far too large for noise,
+   everything usual is fitted together once (`together`), and the search goes on from there. Then each
+   cause is taken out in turn, to see whether the others can do without it.
 
 Of everything that was fitted in place of a cause, what explains the logs as well is kept: these cannot
 be told apart from it with this data.
@@ -26,7 +27,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.fitting import fit_causes, moved
+from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Cause, Problem
@@ -38,7 +39,15 @@ from waferbot_twin.diagnosis.screening import (
     screen,
     signatures,
 )
-from waferbot_twin.effects.effect import Effect
+from waferbot_twin.diagnosis.together import (
+    Together,
+    far,
+    fit_together,
+    price_of,
+    take_out,
+    usual_causes,
+)
+from waferbot_twin.effects.effect import Block, Effect
 
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
@@ -46,7 +55,11 @@ FITTED = 5
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
 
-MOST_CAUSES = 6
+HOPELESS = 0.3
+"""Share of the best gain so far that screening must promise for a candidate to be fitted, too."""
+
+MOST_ROUNDS = 8
+"""How many causes are looked for one at a time."""
 
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""
@@ -105,18 +118,72 @@ def search(
     workers: int = 1,
 ) -> Search:
     """Find the causes in the logs of `finding` that also explain those of `judging`."""
+    effects = list(effects)
     every = candidates(finding, effects)
     nothing, judged_nothing = evaluate(finding), evaluate(judging)
     state = Search(nothing, judged_nothing, nothing, judged_nothing)
     known = signatures(finding, nothing, every, workers, progress)
-    while len(state.found.causes) < MOST_CAUSES:
+    together = False
+    for _ in range(MOST_ROUNDS):
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
         fitted = _fit_best(finding, state.found, screened, progress)
-        if not _take_best(finding, judging, state, fitted):
+        taken = _take_best(finding, judging, state, fitted)
+        fresh = not together and far(state.found) and not (taken and _in_controller(state.found))
+        if fresh:
+            together = True
+            _take_together(finding, judging, state, effects, progress, workers)
+            if far(state.found):  # what is left is no noise: nothing more can be told from it
+                return state
+        if not (taken or fresh):
             break
-    _take_out(finding, judging, state)
+    _confirm(finding, judging, state, progress, workers)
     return state
+
+
+def _in_controller(found: Hypothesis) -> bool:
+    """Return whether the last cause is one in the controller."""
+    return bool(found.causes) and found.causes[-1].effect.block is Block.CONTROLLER
+
+
+def _take_together(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    effects: Sequence[Effect],
+    progress: Progress,
+    workers: int,
+) -> None:
+    """Fit all usual effects beside what was found; keep what is needed if the logs agree."""
+    causes = (*state.found.causes, *usual_causes(finding, effects, state.found.causes))
+    try:
+        result = fit_together(finding, judging, causes, state.tried, progress, workers)
+    except UserError:
+        return
+    better = result.found.information_criterion < state.found.information_criterion
+    if better and result.judged.log_likelihood > state.judged.log_likelihood:
+        _take(state, result)
+
+
+def _take(state: Search, result: Together) -> None:
+    """Make causes that were fitted together those of the search."""
+    state.found, state.judged = result.found, result.judged
+    state.gains = {
+        cause.name: result.losses.get(cause.name, math.inf)
+        - len(cause.values) * math.log(state.found.samples)
+        for cause in state.found.causes
+    }
+    names = set(state.gains)
+    state.rivals = {name: state.rivals.get(name, []) for name in sorted(names)}
+
+
+def _confirm(
+    finding: Problem, judging: Problem, state: Search, progress: Progress, workers: int
+) -> None:
+    """Take out causes that the others can do without."""
+    if len(state.found.causes) < 2:
+        return
+    _take(state, take_out(finding, judging, state.found, state.tried, progress, workers))
 
 
 def _screen_round(
@@ -127,31 +194,51 @@ def _screen_round(
     workers: int,
     progress: Progress,
 ) -> list[Screened]:
-    """Screen what is not yet among the causes."""
+    """Screen what is not yet among the causes; signatures that these change are found anew."""
     taken = {cause.name for cause in base.causes}
     places = [place for place, cause in enumerate(every) if cause.name not in taken]
     of_base = [signature(problem, base, base.causes, place) for place in range(len(base.causes))]
     rivals = [every[place] for place in places]
     screened = screen(problem, base, rivals, [known[place] for place in places], of_base)
-    if not base.causes:
-        return screened
-    best = [item.cause for item in screened[:ANEW]]
-    fresh = signatures(problem, base, best, workers, progress)
-    return screen(problem, base, best, fresh, of_base)
+    changed = {
+        block for cause in base.causes for block in problem.touched(cause.effect, cause.axis)
+    }
+    stale = [
+        item.cause
+        for item in screened
+        if changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
+    ][:ANEW]
+    fresh = signatures(problem, base, stale, workers, progress)
+    anew = screen(problem, base, stale, fresh, of_base)
+    kept = [
+        item
+        for item in screened
+        if not changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
+    ]
+    return sorted([*anew, *kept], key=lambda item: (-item.score, item.cause.name))
 
 
 def _fit_best(
     problem: Problem, base: Hypothesis, screened: Sequence[Screened], progress: Progress
 ) -> list[Hypothesis]:
-    """Fit the best screened effects, one trial of each, beside the causes of `base`."""
+    """
+    Fit the best screened effects, one trial of each, beside the causes of `base`.
+
+    Those that promise much less than another has already gained are not.
+    """
     chosen: dict[str, Screened] = {}
     for item in screened:
         if item.score > 0.0 and len(chosen) < FITTED:
             chosen.setdefault(item.cause.name, item)
-    fitted = []
+    fitted: list[Hypothesis] = []
     for number, item in enumerate(chosen.values()):
         progress(f'fitting {item.cause.name}', number, len(chosen))
-        names = [(0, parameter) for parameter in parameters_of(problem, item.cause)]
+        gained = max(
+            (2.0 * (other.log_likelihood - base.log_likelihood) for other in fitted), default=0.0
+        )
+        if item.score < HOPELESS * gained:
+            break
+        names = names_of(problem, (item.cause,))
         (start,) = moved((item.cause,), names, item.value)
         try:
             fitted.append(fit_causes(problem, (*base.causes, start)))
@@ -162,8 +249,7 @@ def _fit_best(
 
 def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
     """Return what `more` has to gain in 2 ln L over `fewer`."""
-    extra = more.parameters - fewer.parameters
-    return extra * math.log(max(more.samples, 2)) + 4.0 * math.log(max(tried, 1))
+    return price_of(more.parameters - fewer.parameters, more.samples, tried)
 
 
 def _take_best(
@@ -324,22 +410,6 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
 
 def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:
     return sum(item.log_likelihood for item in problem.judge(residuals).values())
-
-
-def _take_out(finding: Problem, judging: Problem, state: Search) -> None:
-    """Take out causes that the others can do without."""
-    if len(state.found.causes) < 2:
-        return
-    for cause in list(state.found.causes):
-        others = tuple(item for item in state.found.causes if item.name != cause.name)
-        without = fit_causes(finding, others)
-        gain = 2.0 * (state.found.log_likelihood - without.log_likelihood)
-        if gain < price(state.found, without, state.tried):
-            state.found, state.judged = without, evaluate(judging, without.causes)
-            del state.gains[cause.name], state.rivals[cause.name]
-        else:
-            extra = state.found.parameters - without.parameters
-            state.gains[cause.name] = gain - extra * math.log(state.found.samples)
 
 
 def standard_errors(hypothesis: Hypothesis) -> np.ndarray:

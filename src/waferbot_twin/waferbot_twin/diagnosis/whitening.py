@@ -102,24 +102,43 @@ def fit(
     for _ in range(rounds):
         left = [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
         filters = [autoregression(r, order) for r, order in zip(left, orders, strict=True)]
-        rows, right, deviations = [], [], []
-        for r, s, now, taps, floor in zip(
-            residuals, signatures, left, filters, floors, strict=True
-        ):
-            order = len(taps) - 1
-            white = lfilter(taps, 1.0, now)[order:]
-            deviation = max(float(np.sqrt(np.mean(white**2))), floor)
-            deviations.append(deviation)
-            rows.append(lfilter(taps, 1.0, s, axis=0)[order:] / deviation)
-            right.append(-lfilter(taps, 1.0, r)[order:] / deviation)
-        matrix = np.vstack(rows)
+        deviations = [
+            _deviation(r, taps, floor)
+            for r, taps, floor in zip(left, filters, floors, strict=True)
+        ]
+        matrix, right = whitened(residuals, signatures, filters, deviations)
         scale = np.sqrt(np.sum(matrix**2, axis=0))
         scale[scale == 0.0] = 1.0
-        solution, *_ = np.linalg.lstsq(matrix / scale, np.concatenate(right), rcond=1e-10)
+        solution, *_ = np.linalg.lstsq(matrix / scale, right, rcond=1e-10)
         value = solution / scale
     inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
     covariance = inverse / np.outer(scale, scale)
     return _result(residuals, signatures, value, covariance, floors, orders)
+
+
+def whitened(
+    residuals: Sequence[Array],
+    signatures: Sequence[Array],
+    filters: Sequence[Array],
+    deviations: Sequence[float],
+) -> tuple[Array, Array]:
+    """
+    Return the rows A (N, k) and b (N,) of all channels, white and with a standard deviation of one.
+
+    The value x that explains the residuals best is where |A x - b|^2 is least.
+    """
+    rows, right = [], []
+    for r, s, taps, deviation in zip(residuals, signatures, filters, deviations, strict=True):
+        order = len(taps) - 1
+        rows.append(lfilter(taps, 1.0, s, axis=0)[order:] / deviation)
+        right.append(-lfilter(taps, 1.0, r)[order:] / deviation)
+    return np.vstack(rows), np.concatenate(right)
+
+
+def _deviation(left: Array, taps: Array, floor: float) -> float:
+    """Return the standard deviation of what a filter leaves, the first samples aside."""
+    white = lfilter(taps, 1.0, left)[len(taps) - 1 :]
+    return max(float(np.sqrt(np.mean(white**2))), floor)
 
 
 def _result(

@@ -56,7 +56,8 @@ def _row(effect: Effect, variants: list[Variant]) -> str:
         for item in effect.parameters(variant, axis):
             named.setdefault(item.name, []).append(item)
     parameters = '<br>'.join(_parameter(items) for items in named.values())
-    mark = ' (threshold)' if effect.threshold else ''
+    marks = {' (threshold)': effect.threshold, ' (usual)': effect.usual}
+    mark = ''.join(text for text, holds in marks.items() if holds)
     return (
         f'| `{effect.name}`{mark}: {effect.summary} | {", ".join(axes)} | {parameters} | '
         f'{_cell(effect.equation)} |'

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fits of many parameters with bounds, and what far from the machine means.
+
+Truth of the fits is scipy's bounded least squares, and plain least squares with a column left out.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from waferbot_twin.diagnosis.fitting import Linear, fit_causes, names_of, without
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.problem import PLANT, Cause
+from waferbot_twin.diagnosis.together import far, usual_causes
+from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.effects import find, library
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.host import host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+
+SEED = 20
+TIME_S = np.linspace(0.0, 1.0, 400)
+
+
+class Term:
+    """An effect of one parameter that only knows its own name."""
+
+    def __init__(self, name, low, high, typical=1.0, neutral=0.0):
+        self.name = name
+        self._parameters = (Parameter('value', '', neutral, typical, low, high, ''),)
+
+    def parameters(self, variant, axis):
+        return self._parameters
+
+    def apply(self, variant, axis, values):
+        return {**variant, self.name: values['value']}
+
+
+def model(amplitude, rate, offset):
+    return amplitude * np.exp(-rate * TIME_S) + offset
+
+
+class Decay:
+    """A problem whose plant is a decay, measured with noise: residual measured less simulated."""
+
+    def __init__(self, measured):
+        self.nominal = {}
+        self.blocks = {PLANT: [None]}
+        self.measured = measured
+
+    def touched(self, effect, axis):
+        return (PLANT,)
+
+    def residuals(self, variant, block):
+        return [self.measured - model(variant['amplitude'], variant['rate'], variant['offset'])]
+
+    def floors(self, block):
+        return [1e-6]
+
+    def orders(self, block):
+        return [0]
+
+    def judge(self, residuals):
+        channels = residuals[PLANT]
+        return {PLANT: fit(channels, [np.zeros((len(TIME_S), 0))], [1e-6], [0])}
+
+
+def decay_causes(offset_low):
+    return (
+        Cause(Term('amplitude', -100.0, 100.0), 'x', {'value': 1.0}),
+        Cause(Term('rate', 0.0, 50.0), 'x', {'value': 1.0}),
+        Cause(Term('offset', offset_low, 10.0), 'x', {'value': 1.0}),
+    )
+
+
+@pytest.mark.parametrize('offset_low', [-10.0, 0.0])
+def test_a_fit_is_the_bounded_least_squares_one_also_where_a_bound_holds(offset_low):
+    random = np.random.default_rng(SEED)
+    measured = model(20.0, 9.0, -0.5) + 0.05 * random.standard_normal(len(TIME_S))
+    found = fit_causes(Decay(measured), decay_causes(offset_low), rounds=40, enough=1e-9)
+    values = [cause.values['value'] for cause in found.causes]
+    truth = least_squares(
+        lambda x: measured - model(*x),
+        [1.0, 1.0, 1.0],
+        bounds=([-100.0, 0.0, offset_low], [100.0, 50.0, 10.0]),
+        xtol=1e-12,
+        ftol=1e-12,
+    ).x
+    assert values == pytest.approx(truth, rel=1e-3, abs=1e-3)
+    assert (values[2] == 0.0) == (offset_low == 0.0)
+
+
+def test_without_a_cause_the_others_make_up_for_it_as_least_squares_does():
+    random = np.random.default_rng(SEED)
+    matrix = random.standard_normal((50, 3)) @ np.array([[1, 0.9, 0], [0, 1, 0.5], [0, 0, 1]])
+    causes = tuple(
+        Cause(Term(name, -1e3, 1e3), 'x', {'value': value})
+        for name, value in (('a', 2.0), ('b', -3.0), ('c', 5.0))
+    )
+    names = names_of(SimpleNamespace(nominal={}), causes)
+    triangle = np.linalg.qr(matrix).R
+    linear = Linear(np.zeros(3), np.eye(3), triangle, np.zeros(3))
+    left = without(causes, names, linear, 1)
+    change = np.linalg.lstsq(matrix[:, [0, 2]], -matrix[:, 1] * 3.0, rcond=None)[0]
+    assert [cause.effect.name for cause in left] == ['a', 'c']
+    assert [cause.values['value'] for cause in left] == pytest.approx(
+        [2.0 + change[0], 5.0 + change[1]]
+    )
+
+
+def hypothesis(residual):
+    fits = {PLANT: fit([residual], [np.zeros((len(residual), 0))], [0.1], [24])}
+    return Hypothesis((), {PLANT: [residual]}, fits)
+
+
+def test_far_is_smooth_and_large_not_loud():
+    random = np.random.default_rng(SEED)
+    noise = random.standard_normal(4000)
+    smooth = np.sin(2.0 * np.pi * np.arange(4000) / 300.0)
+    assert not far(hypothesis(noise))
+    assert not far(hypothesis(100.0 * noise))
+    assert not far(hypothesis(noise + smooth))
+    assert far(hypothesis(noise + 100.0 * smooth))
+
+
+def test_usual_causes_begin_where_a_fit_can_begin():
+    variant = host(Variant.of(load_model('rigid')))
+    problem = SimpleNamespace(nominal=variant, touched=lambda effect, axis: (PLANT,))
+    taken = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.0})
+    begin = {cause.name: cause for cause in usual_causes(problem, library().values(), [taken])}
+    assert 'coulomb_friction:x_rotate' not in begin
+    assert 'coulomb_friction:y_linear' in begin
+    assert 'backlash:y_rotate' not in begin
+    cable = begin['cable_compliance:y_linear']
+    (compliance,) = cable.effect.parameters(variant, 'y_linear')
+    assert cable.values['compliance'] == compliance.typical > 0.0
+    assert begin['force_constant:x_rotate'].values == {'ratio': 1.0}
+    assert begin['encoder_delay:x_rotate'].values == {'delay': 0.0}

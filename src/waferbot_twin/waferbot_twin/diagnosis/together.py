@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+When a model is far from the machine: everything usual at once, then take out what is not needed.
+
+One cause at a time is the way to a few causes. A rigid model of an elastic machine with unknown
+friction lacks twenty, each explains little while the others are missing, and the first ones taken are
+those that stand in for many. So all effects that every machine has some of (`Effect.usual`:
+compliances, friction, masses, force constants, delays) are fitted together with the causes found so
+far, on all axes: first to the residuals as they are, which shows the way from far off, then, if what
+is left could be noise, whitened. What is one-sided in the plant begins at its typical value, because a
+spring that does not give has no gradient to follow.
+
+Then, again and again, each cause is taken out, the others moved to make up for it as the linear
+problem says. Out stays what does not pay for itself (`price_of`), or what logs with another motion
+speak against.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import fit_causes, linearise, names_of, without
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
+from waferbot_twin.effects.effect import Block, Effect, Parameter
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how much is done and how much there is."""
+
+FAR = 10.0
+"""RMS of a residual over that of its unpredictable part, from which on it is no noise."""
+
+COARSE_ROUNDS, FINE_ROUNDS, AGAIN_ROUNDS = 12, 6, 2
+
+SMOOTH = 14.0
+"""
+Samples for each independent one, where residuals are not whitened: the observer of the plant lets
+through what is slower than 80 Hz, 160 independent samples a second of the servo's 2250.
+"""
+
+ROUGHLY = 2.0
+"""Gain in ln L below which another round of a fit far off is not worth its time."""
+
+AGAINST = 8.0
+"""What logs kept for judging must gain in 2 ln L without a cause for it to be taken out."""
+
+
+def far(hypothesis: Hypothesis) -> bool:
+    """Return whether the plant moves in a way that cannot be noise, by any encoder of any log."""
+    return any(far_channels(hypothesis))
+
+
+def far_channels(hypothesis: Hypothesis) -> list[bool]:
+    """
+    Return for each channel of the plant whether what is left over cannot be noise.
+
+    Noise on a position is as rough as its unpredictable part; what a wrong model leaves is smooth and
+    large. Shaking forces lie between, at three to five times their unpredictable part.
+    """
+    if PLANT not in hypothesis.fits:
+        return []
+    return [
+        float(np.sqrt(np.mean(residual**2))) > FAR * deviation
+        for residual, deviation in zip(
+            hypothesis.residuals[PLANT], hypothesis.fits[PLANT].deviations, strict=True
+        )
+    ]
+
+
+def usual_causes(
+    problem: Problem, effects: Iterable[Effect], taken: Iterable[Cause]
+) -> tuple[Cause, ...]:
+    """Return every usual effect that is not yet taken, where a fit begins."""
+    names = {cause.name for cause in taken}
+    found = []
+    for effect in effects:
+        if not effect.usual:
+            continue
+        for axis in effect.axes(problem.nominal):
+            values = {
+                item.name: item.typical if item.shape or _one_sided(effect, item) else item.neutral
+                for item in effect.parameters(problem.nominal, axis)
+            }
+            cause = Cause(effect, axis, values)
+            if cause.name not in names and PLANT in problem.touched(effect, axis):
+                found.append(cause)
+    return tuple(found)
+
+
+def _one_sided(effect: Effect, item: Parameter) -> bool:
+    return effect.block is Block.PLANT and item.low == item.neutral
+
+
+def price_of(parameters: int, samples: int, tried: int) -> float:
+    """Return what causes with so many parameters have to gain in 2 ln L."""
+    return parameters * math.log(max(samples, 2)) + 4.0 * math.log(max(tried, 1))
+
+
+@dataclass
+class Together:
+    """Causes fitted together, in both sets of logs; `losses` is what each is missed by, 2 ln L."""
+
+    found: Hypothesis
+    judged: Hypothesis
+    losses: dict[str, float]
+
+
+def fit_together(
+    finding: Problem,
+    judging: Problem,
+    causes: tuple[Cause, ...],
+    tried: int,
+    progress: Progress,
+    workers: int = 1,
+) -> Together:
+    """Fit causes together from far off, then take out what is not needed."""
+    progress('fitting together', 0, 2)
+    rough = fit_causes(finding.coarse(), causes, COARSE_ROUNDS, workers, ROUGHLY)
+    progress('fitting together', 1, 2)
+    found = evaluate(finding, rough.causes)
+    if not far(found):
+        found = fit_causes(finding, found.causes, FINE_ROUNDS, workers)
+    return take_out(finding, judging, found, tried, progress, workers)
+
+
+def take_out(
+    finding: Problem,
+    judging: Problem,
+    found: Hypothesis,
+    tried: int,
+    progress: Progress,
+    workers: int = 1,
+) -> Together:
+    """
+    Take out causes that the others can do without, the least needed first.
+
+    As long as what is left is far too large for noise, residuals are compared as they are.
+    """
+    rough = far(found)
+    smooth = SMOOTH if rough else 1.0
+    problem, judge = (finding.coarse(), judging.coarse()) if rough else (finding, judging)
+    found = evaluate(problem, found.causes)
+    kept: set[str] = set()
+    several = True
+    while True:
+        names = names_of(problem, found.causes)
+        linear = linearise(problem, found, names, workers)
+        without_it: dict[str, Hypothesis] = {}
+        for place, cause in enumerate(found.causes):
+            progress(f'is {cause.name} needed', place, len(found.causes))
+            try:
+                without_it[cause.name] = evaluate(
+                    problem, without(found.causes, names, linear, place)
+                )
+            except UserError:  # the machine does not stand without it
+                continue
+        losses = {
+            name: 2.0 * (found.log_likelihood - other.log_likelihood) / smooth
+            for name, other in without_it.items()
+        }
+        prices = {
+            cause.name: price_of(len(cause.values), found.samples, tried) for cause in found.causes
+        }
+        spare = [name for name, loss in losses.items() if loss < prices[name] and name not in kept]
+        needless = bool(spare)
+        if not spare:
+            judged = evaluate(judge, found.causes).log_likelihood
+            spare = [
+                name
+                for name, other in without_it.items()
+                if name not in kept
+                and 2.0 * (_log_likelihood(judge, other.causes) - judged) > AGAINST * smooth
+            ]
+        if not spare:
+            break
+        least = sorted(spare, key=lambda name: (losses[name], name))
+        least = least[: max(1, len(least) // 2)] if several and needless else least[:1]
+        left = tuple(cause for cause in found.causes if cause.name not in least)
+        fewer = fit_causes(problem, left, AGAIN_ROUNDS, workers)
+        lost = 2.0 * (found.log_likelihood - fewer.log_likelihood) / smooth
+        if needless:
+            can_do = lost < sum(prices[name] for name in least)
+        else:
+            can_do = _log_likelihood(judge, fewer.causes) > judged
+        if can_do:
+            found, several = fewer, True
+        elif len(least) == 1:  # what the linear problem promised does not come true
+            kept.add(least[0])
+        else:
+            several = False
+    whole = evaluate(finding, found.causes)
+    whole.covariance = smooth * linear.covariance
+    return Together(whole, evaluate(judging, found.causes), losses)
+
+
+def _log_likelihood(problem: Problem, causes: tuple[Cause, ...]) -> float:
+    """Return how likely a model with these causes is; not at all if it blows up."""
+    try:
+        return evaluate(problem, causes).log_likelihood
+    except UserError:
+        return -math.inf
