@@ -24,6 +24,9 @@ COLOURS = {
 SHOWN = 18
 """How many confusions and parameters fit."""
 
+LONGEST = 105
+"""Characters that fit beside a confusion."""
+
 
 def draw(found: dict[str, Any], path: Path) -> None:
     """Write the picture."""
@@ -107,8 +110,9 @@ def _confusions(panel: Any, found: dict[str, Any]) -> None:
     for place, row in enumerate(rows):
         text = f'{row["group"]}: {row["truth"]}  →  {row["reported"]}'
         panel.text(
-            0.02, place, text, va='center', fontsize=8, transform=panel.get_yaxis_transform()
-        )
+            0.02, place, text if len(text) <= LONGEST else text[: LONGEST - 1] + '…',
+            va='center', fontsize=8, transform=panel.get_yaxis_transform(),
+        ).set_in_layout(False)  # fmt: skip
     panel.set_yticks([])
     panel.invert_yaxis()
     panel.set_xlabel('cases')
