@@ -3,11 +3,20 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
+import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.diagnose import _worse
+from waferbot_twin.diagnosis.gain import AxisGain
+
+AXES = ('y_linear', 'x_rotate', 'y_rotate')
+SAMPLES = 2000
+BEFORE = 2e-6 * np.sin(np.linspace(0.0, 120.0 * np.pi, SAMPLES))
+
+
+def gain(axis, before, after):
+    time_s = np.arange(SAMPLES) * 1e-3
+    return AxisGain('log', axis, 'm', time_s, np.zeros(SAMPLES), before, after, True)
 
 
 @pytest.mark.parametrize(
@@ -21,5 +30,25 @@ from waferbot_twin.diagnosis.diagnose import _worse
     ],
 )
 def test_an_extension_is_withdrawn_if_it_plainly_loses(ratios, worse):
-    gains = [SimpleNamespace(rms_before=2e-6, rms_after=2e-6 * ratio) for ratio in ratios]
+    gains = [gain(axis, BEFORE, ratio * BEFORE) for axis, ratio in zip(AXES, ratios, strict=False)]
     assert _worse(gains) is worse
+
+
+def test_what_is_lost_in_one_stretch_alone_may_be_chance():
+    after = BEFORE.copy()
+    after[300:400] *= 1.5  # 3 % more in RMS, by one stretch of twenty
+    assert np.std(after) / np.std(BEFORE) > 1.02
+    assert not _worse([gain('x_rotate', BEFORE, after)])
+
+
+def test_noise_of_the_machine_makes_no_true_model_lose():
+    seed = 20261121
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    lost = 0
+    for _ in range(100):
+        white = random.normal(size=SAMPLES + 39)
+        noise = np.convolve(white, np.ones(40) / 40.0, 'valid')
+        moved = 0.05 * np.roll(noise, int(random.integers(SAMPLES)))
+        lost += _worse([gain('x_rotate', noise, noise + moved)])
+    assert lost <= 5

@@ -28,7 +28,7 @@ from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.position_spectrum import orders_of
 from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
 from waferbot_twin.diagnosis.together import far_channels
@@ -44,8 +44,11 @@ from waferbot_twin.recording.reader import recording_files, recording_of
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
 
-LOSES = 0.01
-"""Sum over the axes of ln(RMS error after / before) from which on an extension is withdrawn."""
+LOSES = 0.02
+"""Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""
+
+STRETCHES, PLAINLY = 20, 3.0
+"""Into how many stretches a log is divided, and how many standard errors are plain."""
 
 UNEXPLAINED_FLOORS = 5.0
 """A controller whose residual is this many times its resolution has something unexplained."""
@@ -239,14 +242,28 @@ def _worse(axis_gains: Sequence[AxisGain]) -> bool:
     """
     Return whether the extension plainly loses more on some axes than it wins on others.
 
-    Many causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
+    The change of the square error, relative to that before and summed over the axes, is taken for each
+    of some stretches of a log. It loses if their mean is above `LOSES` and so many standard errors
+    above zero: the machine's noise in one run makes even the true model lose a little somewhere. Many
+    causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
     """
-    ratios = [
-        math.log(item.rms_after / item.rms_before)
-        for item in axis_gains
-        if item.rms_before > 0.0 and item.rms_after > 0.0
-    ]
-    return sum(ratios) > LOSES
+    by_log: dict[str, list[Array]] = {}
+    for item in axis_gains:
+        if item.rms_before > 0.0 and len(item.error_before) >= STRETCHES:
+            by_log.setdefault(item.log, []).append(_change_of_square_error(item))
+    if not by_log:
+        return False
+    changes = np.concatenate([np.sum(of_axes, axis=0) for of_axes in by_log.values()])
+    mean = float(np.mean(changes))
+    standard_error = float(np.std(changes, ddof=1)) / math.sqrt(len(changes))
+    return mean > max(LOSES, PLAINLY * standard_error)
+
+
+def _change_of_square_error(item: AxisGain) -> Array:
+    """Return it for each stretch of a log, in mean square errors of the whole log before."""
+    difference = item.error_after**2 - item.error_before**2
+    means = [float(np.mean(part)) for part in np.array_split(difference, STRETCHES)]
+    return np.array(means) / item.rms_before**2
 
 
 def _left_over(

@@ -12,13 +12,16 @@ whose coefficients follow by least squares, and is compared after filtering with
 1 - a_1 z^-1 - ...: generalised least squares, iterated as by Cochrane and Orcutt. With N samples per
 channel the logarithm of the likelihood is, up to a constant,
 
-    ln L = - sum over channels of N/2 ln s^2 .
+    ln L = - sum over channels of N/2 (ln s^2 + <w^2> / s^2 - 1),
+
+s^2 = <w^2>, but not less than the resolution of the channel allows (the floor).
 
 Source: J. D. Hamilton, Time Series Analysis, Princeton 1994, chapters 5 and 8.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -156,8 +159,10 @@ def _result(
         left = r + s @ value
         taps = autoregression(left, order)
         white = lfilter(taps, 1.0, left)[order:]
-        deviation = max(float(np.sqrt(np.mean(white**2))), floor)
-        log_likelihood -= len(white) * np.log(deviation)
+        square = float(np.mean(white**2))
+        deviation = max(math.sqrt(square), floor)
+        above = square / deviation**2 - 1.0  # zero unless the floor holds the deviation up
+        log_likelihood -= len(white) * (math.log(deviation) + 0.5 * above)
         samples += len(white)
         whitened.append(white / deviation)
         filters.append(taps)
