@@ -25,7 +25,7 @@ def print_diagnosis(
                     found.cause.axis,
                     f'{item.name} {significant(found.cause.values[item.name])} {item.unit}',
                     f'± {significant(error, 2)}',
-                    f'{found.delta_bic:.0f}' if math.isfinite(found.delta_bic) else 'needed',
+                    found.evidence,
                 )
         result_console.print(causes)
     headings = ['log, axis', 'RMS nominal', 'RMS extended', 'improvement [%]']

@@ -50,6 +50,9 @@ LOSES = 0.02
 STRETCHES, PLAINLY = 20, 3.0
 """Into how many stretches a log is divided, and how many standard errors are plain."""
 
+UNRIVALLED = 0.8
+"""Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
+
 UNEXPLAINED_FLOORS = 5.0
 """A controller whose residual is this many times its resolution has something unexplained."""
 
@@ -78,6 +81,11 @@ class FoundCause:
     def cannot_tell_from(self) -> tuple[str, ...]:
         """Names of the causes that explain the logs as well."""
         return tuple(item.cause.name for item in self.alike)
+
+    @property
+    def evidence(self) -> str:
+        """The gain as text; it is infinite where the model without the cause blows up."""
+        return f'{self.delta_bic:.0f}' if math.isfinite(self.delta_bic) else 'needed'
 
 
 @dataclass
@@ -329,7 +337,7 @@ def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
                 parameters,
                 own,
                 float(found.gains.get(cause.name, 0.0)),
-                _confidence(rivals),
+                _confidence(rivals, len(found.found.causes)),
                 tuple(_alike(problem, found, cause, rivals)),
             )
         )
@@ -349,8 +357,14 @@ def _alike(
             yield Alike(item.cause, item.behind, correlation)
 
 
-def _confidence(rivals: Sequence[Rival]) -> float:
-    """Return how sure it is that this and not a rival is the cause: weights by Schwarz' criterion."""
+def _confidence(rivals: Sequence[Rival], causes: int) -> float:
+    """
+    Return how sure it is that this and not a rival is the cause: weights by Schwarz' criterion.
+
+    Of a cause that was fitted together with others nobody knows what else could stand in its place.
+    """
+    if not rivals and causes > 1:
+        return UNRIVALLED
     return 1.0 / (1.0 + sum(math.exp(-0.5 * min(item.behind, 700.0)) for item in rivals))
 
 

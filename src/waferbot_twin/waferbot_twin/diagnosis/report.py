@@ -236,7 +236,7 @@ def _cause_table(diagnosis: Diagnosis) -> str:
         rows += (
             f'<tr><td>{found.cause.effect.name}<br><small>{html.escape(found.cause.effect.summary)}'
             f'</small></td><td>{TITLES[found.cause.axis]}</td><td>{values}</td>'
-            f'<td>{found.delta_bic:.0f}</td><td>{100 * found.confidence:.0f} %</td>'
+            f'<td>{found.evidence}</td><td>{100 * found.confidence:.0f} %</td>'
             f'<td>{"<br>".join(map(_alike, found.alike)) or "-"}</td></tr>'
         )
     return (
