@@ -88,7 +88,8 @@ def test_without_noise_windings_are_right_to_a_fraction_of_the_noise(nominal):
 
 
 def test_without_noise_no_sensor_of_the_fastest_motor_seems_wrong(nominal):
-    record = log(nominal, level=0.0)
+    twin = Twin.of(nominal.model(), Timing(), load_experiment('random_y_rotate'))
+    record = record_of_signals('random', twin.advance(18000))
     effect = find('phase_gain_mismatch')
     wrong = effect.apply(nominal, 'y_rotate', {'line_1': 0.01, 'line_2': 0.01})
     right = residuals(WindingsBlock, record, nominal, nominal)
@@ -97,7 +98,7 @@ def test_without_noise_no_sensor_of_the_fastest_motor_seems_wrong(nominal):
         if not by_one_percent.any():
             continue
         estimate = -0.01 * (by_one_percent @ right[channel]) / (by_one_percent @ by_one_percent)
-        assert abs(estimate) < 2e-4, channel
+        assert abs(estimate) < 4e-4, channel  # 6e-4 if smoothed over 1.7 ms
 
 
 IN_AMPLIFIER = {
