@@ -8,7 +8,7 @@ import math
 import numpy as np
 import plant_machines as machines
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from waferbot_plant import windings
@@ -116,6 +116,7 @@ def test_sensors_show_gain_and_offset_and_no_noise():
     phase=st.floats(-3.0, 3.0),
     ripple=st.floats(0.0, 5.0),
 )
+@example(scale=-0.046875, amplitude_m=6.028e-06, phase=0.0, ripple=3.0)
 @settings(max_examples=25, deadline=None)
 def test_positions_behind_an_imperfect_encoder(scale, amplitude_m, phase, ripple):
     """Counts made by the formula of the encoders' page are brought back to the path they came from."""

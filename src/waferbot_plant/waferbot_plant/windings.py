@@ -45,7 +45,8 @@ WINDING_STATE = np.dtype(
     align=True,
 )
 
-SUBSTITUTIONS = 4
+SUBSTITUTIONS, AT_FIRST = 4, 40
+"""How often a position is corrected by what is missing; the first row begins with nothing."""
 
 
 def motor_encoder(description: Description, axis: str) -> int | None:
@@ -138,7 +139,7 @@ def _find_positions(state, parameters, counts, position):
         encoders.fill_readings(s, p)
         for row in range(counts.shape[0]):
             ideal = counts[row, encoder] / per_unit
-            for _ in range(SUBSTITUTIONS):
+            for _ in range(SUBSTITUTIONS if row else AT_FIRST):
                 s['position'][motor] = ideal + correction
                 missing = counts[row, encoder] - encoders.seen_counts(s, p, encoder)
                 correction += missing / per_unit
