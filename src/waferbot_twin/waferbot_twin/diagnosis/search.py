@@ -43,6 +43,7 @@ from waferbot_twin.diagnosis.together import (
     Together,
     far,
     fit_together,
+    gain_from_afar,
     price_of,
     take_out,
     usual_causes,
@@ -158,10 +159,12 @@ def _take_together(
     causes = (*state.found.causes, *usual_causes(finding, effects, state.found.causes))
     try:
         result = fit_together(finding, judging, causes, state.tried, progress, workers)
+        gained = gain_from_afar(finding, state.found, result.found)
+        confirmed = gain_from_afar(judging, state.judged, result.judged)
     except UserError:
         return
-    better = result.found.information_criterion < state.found.information_criterion
-    if better and result.judged.log_likelihood > state.judged.log_likelihood:
+    more = result.found.parameters - state.found.parameters
+    if gained > price_of(more, state.found.samples, state.tried) and confirmed > 0.0:
         _take(state, result)
 
 

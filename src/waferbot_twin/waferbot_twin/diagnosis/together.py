@@ -101,6 +101,18 @@ def price_of(parameters: int, samples: int, tried: int) -> float:
     return parameters * math.log(max(samples, 2)) + 4.0 * math.log(max(tried, 1))
 
 
+def gain_from_afar(problem: Problem, base: Hypothesis, more: Hypothesis) -> float:
+    """
+    Return what some causes gain in 2 ln L over others where the model is far from the machine.
+
+    Residuals are compared as they are: whitened ones of a model that moves wrongly say how rough its
+    error is, not how large. Negative or zero if the gain is a loss.
+    """
+    coarse = problem.coarse()
+    before, after = (evaluate(coarse, item.causes).log_likelihood for item in (base, more))
+    return 2.0 * (after - before) / SMOOTH
+
+
 @dataclass
 class Together:
     """Causes fitted together, in both sets of logs; `losses` is what each is missed by, 2 ln L."""
