@@ -51,6 +51,9 @@ ENCODERS = 4
 NOISE_CHANNEL = 1000
 """Channel of the noise of the first encoder; the others follow."""
 
+SUBSTITUTIONS, AT_FIRST = 4, 40
+"""How often a position is corrected by what is missing; the first row begins with nothing."""
+
 PARAMETER_FIELDS: list[tuple] = [
     ('encoder_coordinate', 'i8', (ENCODERS,)),
     ('counts_per_unit', 'f8', (ENCODERS,)),
@@ -150,6 +153,34 @@ def seen_counts(s, p, encoder):
         p['interpolation_per_count'][encoder] * seen - p['interpolation_phase'][encoder]
     )
     return seen + p['interpolation'][encoder] * cosine - s['lost'][encoder]
+
+
+@compiled
+def find_positions(state, parameters, counts, position):
+    """
+    Fill `position` (rows, z): where encoders must be for each row of `counts` (rows, 4) to be seen.
+
+    That of the coordinates with an encoder, in their units; at rest, if `delay_fraction` is zero. By
+    repeated substitution, begun with the error of the row before: it converges as errors of
+    encoders change by much less than a count per count. Changes `state`.
+    """
+    s = state[0]
+    p = parameters[0]
+    for encoder in range(counts.shape[1]):
+        per_unit = p['counts_per_unit'][encoder]
+        if per_unit == 0.0:
+            continue
+        coordinate = p['encoder_coordinate'][encoder]
+        correction = 0.0
+        s['position'][coordinate] = counts[0, encoder] / per_unit
+        fill_readings(s, p)
+        for row in range(counts.shape[0]):
+            ideal = counts[row, encoder] / per_unit
+            for _ in range(SUBSTITUTIONS if row else AT_FIRST):
+                s['position'][coordinate] = ideal + correction
+                missing = counts[row, encoder] - seen_counts(s, p, encoder)
+                correction += missing / per_unit
+            position[row, coordinate] = ideal + correction
 
 
 @compiled

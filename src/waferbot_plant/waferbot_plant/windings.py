@@ -45,10 +45,6 @@ WINDING_STATE = np.dtype(
     align=True,
 )
 
-SUBSTITUTIONS, AT_FIRST = 4, 40
-"""How often a position is corrected by what is missing; the first row begins with nothing."""
-
-
 def motor_encoder(description: Description, axis: str) -> int | None:
     """Return the place of the encoder that sits on an axis' motor, None if there is none."""
     if axis not in description.motors:
@@ -115,35 +111,8 @@ def motor_positions(parameters: np.ndarray, counts: NDArray[np.float64]) -> NDAr
     exact = parameters.copy()
     exact['delay_fraction'] = 0.0
     position = np.zeros((len(counts), motors.MOTORS))
-    _find_positions(np.zeros(1, WINDING_STATE), exact, counts, position)
+    encoders.find_positions(np.zeros(1, WINDING_STATE), exact, counts, position)
     return position
-
-
-@compiled
-def _find_positions(state, parameters, counts, position):
-    """
-    Fill `position` (rows, 3): what every row takes to make the encoder see its count.
-
-    By repeated substitution, begun with the error of the row before. It converges as errors of
-    encoders change by much less than a count per count.
-    """
-    s = state[0]
-    p = parameters[0]
-    for encoder in range(counts.shape[1]):
-        per_unit = p['counts_per_unit'][encoder]
-        if per_unit == 0.0:
-            continue
-        motor = p['encoder_coordinate'][encoder]
-        correction = 0.0
-        s['position'][motor] = counts[0, encoder] / per_unit
-        encoders.fill_readings(s, p)
-        for row in range(counts.shape[0]):
-            ideal = counts[row, encoder] / per_unit
-            for _ in range(SUBSTITUTIONS if row else AT_FIRST):
-                s['position'][motor] = ideal + correction
-                missing = counts[row, encoder] - encoders.seen_counts(s, p, encoder)
-                correction += missing / per_unit
-            position[row, motor] = ideal + correction
 
 
 @compiled

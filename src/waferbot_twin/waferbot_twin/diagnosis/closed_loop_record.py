@@ -17,8 +17,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.encoders import find_positions
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.effects.host import compact
@@ -44,23 +45,37 @@ def run_commanded(
     """
     Run the closed loop of `variant` over commanded positions (cycles, 3) in counts of its encoders.
 
-    It begins at rest at the first of them. Raises `UserError` if the loop is unstable.
+    It begins at rest where its encoders show the first of them. Raises `UserError` if the loop is unstable.
     """
     machine = compact(variant).build(timing)
     twin = Twin(machine, variant.pmac, variant.copley, timing, variant.name)
-    per_unit = twin.servo_parameters[0]['counts_per_unit']
     begin = commanded[0]
     if np.any(np.abs(begin) > 1.0):
-        positions = {
-            axis: float(begin[place] / per_unit[place])
-            for place, axis in enumerate(AXES)
-            if axis in twin.machine.description.axes
-        }
         twin.plant_state = twin.machine.initial_state(
-            twin.plant_parameters, positions, holding=True
+            twin.plant_parameters, _axes_that_read(twin, begin), holding=True
         )
     twin.commanded = commanded - begin
     return twin.advance(ticks)
+
+
+def _axes_that_read(twin: Twin, counts: NDArray[np.float64]) -> dict[str, float]:
+    """Return the position of each axis, m or rad, at which its encoder shows these counts (3,)."""
+    parameters = twin.plant_parameters.copy()
+    parameters['delay_fraction'] = 0.0  # it stands
+    parameters['counts_per_unit'][:, len(AXES) :] = 0.0  # those of motors go with the others
+    by_coordinate = np.zeros((1, len(twin.machine.coordinates)))
+    of_encoders = np.concatenate([counts, np.zeros(len(ENCODERS) - len(AXES))])
+    find_positions(twin.plant_state.copy(), parameters, of_encoders[None, :], by_coordinate)
+    p, per_unit = parameters[0], twin.servo_parameters[0]['counts_per_unit']
+    return {
+        axis: float(
+            by_coordinate[0, p['encoder_coordinate'][place]]
+            * p['counts_per_unit'][place]
+            / per_unit[place]
+        )
+        for place, axis in enumerate(AXES)
+        if axis in twin.machine.description.axes and p['counts_per_unit'][place] != 0.0
+    }
 
 
 def _with_signals_of(record: Record, simulated: Record) -> Record:

@@ -93,6 +93,24 @@ def signature(
     return {block: np.column_stack(columns) for block, columns in found.items()}
 
 
+def whole_change(
+    problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...]
+) -> dict[str, Array]:
+    """
+    Return what the last of `causes` changes in the residuals of a hypothesis without it, by block.
+
+    As a whole, at its values: arrays have the shape (samples of all channels, 1).
+    """
+    cause, variant = causes[-1], apply_all(problem.nominal, causes)
+    return {
+        block: (
+            np.concatenate(problem.residuals(variant, block))
+            - np.concatenate(hypothesis.residuals[block])
+        )[:, None]
+        for block in problem.touched(cause.effect, cause.axis)
+    }
+
+
 def _probe(item: Parameter, value: float) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
     width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)

@@ -4,7 +4,7 @@ Where the motors were at every tick, from the counts of their encoders.
 
 Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
 counts have, is an error k dx / L of the current. Positions are smoothed by a cubic over `SMOOTHED` rows
-(Savitzky and Golay; it neither delays nor loses what is slower than a millisecond), brought from when
+(Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond), brought from when
 they were published to when they were read, and joined by a cubic spline.
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
@@ -21,12 +21,13 @@ from waferbot_lockstep.contract import ENCODERS
 from waferbot_plant.windings import motor_positions
 from waferbot_twin.diagnosis.record import Array, Record
 
-SMOOTHED = 11
+SMOOTHED = 7
 """
-Encoder rows that a reading is smoothed over, 1.2 ms.
+Encoder rows that a reading is smoothed over, 0.8 ms.
 
-Over 1.7 ms a fast motor loses so much of its motion that the currents seem 0.05 % wrong, which in a
-quiet log is a cause; over less the counts show.
+Over 1.2 ms a fast motor loses so much of its motion that the currents seem 0.03 % wrong, over 1.7 ms
+0.1 %, which in a quiet log is a cause. Over less than 0.8 ms there is nothing to win, and the counts
+show.
 """
 
 

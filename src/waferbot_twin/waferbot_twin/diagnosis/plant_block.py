@@ -17,6 +17,9 @@ the force itself, so w is chosen above what moves the machine, 80 Hz, but no mor
 rate at which readings come: what a slow log cannot show is not looked for in it. Whitening takes out
 what w and z were; all models that are compared have the same.
 
+A reading that is late is compared with where the plant was by then, as corrected since: without the
+latter the observer, and with it the spread of e, would depend on the delay.
+
 What moves together as long as nothing gives is corrected together, by its first encoder: a carriage with
 its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore held as
 the rigid one is, and no correction stretches a spring.
@@ -277,6 +280,7 @@ def _drive(
     last_row = np.full(reading.shape[1], -1)
     gains_for = np.zeros(reading.shape[1])
     gains = np.zeros((2, reading.shape[1]))
+    corrected = np.zeros(reading.shape[1])
     for encoder in range(reading.shape[1]):
         if p['counts_per_unit'][encoder] != 0.0:
             now = encoders.seen_counts(s, p, encoder)
@@ -297,9 +301,10 @@ def _drive(
                 now = encoders.seen_counts(s, p, encoder)
                 if coarseness > 1.0:
                     now = coarseness * np.floor(now / coarseness) + half_count
-                seen[row % LONGEST_DELAY, encoder] = now
+                seen[row % LONGEST_DELAY, encoder] = now - corrected[encoder]
                 late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
-                error = reading[row, encoder] + half_count - seen[late, encoder]
+                predicted = seen[late, encoder] + corrected[encoder]
+                error = reading[row, encoder] + half_count - predicted
                 if error != error:
                     continue
                 if late_s.shape[0]:
@@ -315,6 +320,12 @@ def _drive(
                     share = together[encoder, other] * error / per_unit
                     s['position'][other] += gains[0, encoder] * share
                     s['velocity'][other] += gains[1, encoder] * share
+                for other in range(reading.shape[1]):
+                    other_coordinate = p['encoder_coordinate'][other]
+                    share = together[encoder, other_coordinate] * error / per_unit
+                    moved = gains[0, encoder] * share * p['counts_per_unit'][other]
+                    corrected[other] += moved
+                    s['position_before'][other] += moved
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
         for motor in range(motors.MOTORS):

@@ -5,26 +5,37 @@ Screening: every effect of the library on every axis, fitted linearly to what is
 The signature of an effect, what a little of it changes in the residuals, comes from the simulation
 itself, so a new effect needs no formula of its own here. Signatures are found once, with the causes that
 were known then; a later round finds anew only those that look most likely.
+
+An effect with a threshold changes nothing while there is little of it. It is tried at several sizes
+(`RUNGS`), and its signature is the whole of what it changes there, fitted with a factor.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, signature
+from waferbot_twin.diagnosis.hypothesis import (
+    Hypothesis,
+    parameters_of,
+    signature,
+    whole_change,
+)
 from waferbot_twin.diagnosis.jointly import Signature, fit_jointly, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.effects.effect import Effect
+from waferbot_twin.effects.effect import Effect, Parameter, Values
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
+
+RUNGS = np.linspace(0.125, 1.125, 9)
+"""Sizes at which effects with a threshold are tried: 0 is neutral, 1 typical, in a geometric scale."""
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
@@ -56,8 +67,26 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                     item.name: trial.get(item.name, item.typical if item.shape else item.neutral)
                     for item in parameters
                 }
-                found.append(Cause(effect, axis, values))
+                if effect.threshold:
+                    found += [Cause(effect, axis, rung) for rung in _rungs(parameters, values)]
+                else:
+                    found.append(Cause(effect, axis, values))
     return found
+
+
+def _rungs(parameters: Sequence[Parameter], values: Values) -> Iterator[Values]:
+    """Give values at which to try an effect; its neutral values are not zero."""
+    for share in RUNGS:
+        yield {
+            item.name: values[item.name]
+            if item.shape
+            else float(
+                np.clip(
+                    item.neutral * (item.typical / item.neutral) ** share, item.low, item.high
+                )
+            )
+            for item in parameters
+        }
 
 
 def signatures(
@@ -88,7 +117,10 @@ def _signatures(
     for rival in rivals:
         causes = (*base.causes, rival)
         try:
-            own = signature(problem, base, causes, len(causes) - 1)
+            if rival.effect.threshold:
+                own = whole_change(problem, base, causes)
+            else:
+                own = signature(problem, base, causes, len(causes) - 1)
         except UserError:
             found.append(None)
             continue
@@ -110,7 +142,8 @@ def screen(
         shown = {block: matrix for block, matrix in (own or {}).items() if matrix.any()}
         if not shown:
             continue
-        count = len(parameters_of(problem, rival))
+        parameters = len(parameters_of(problem, rival))
+        count = 1 if rival.effect.threshold else parameters
         beside = [item for item in of_base if shown.keys() & item.keys()]
         everything = side_by_side(
             [
@@ -123,9 +156,13 @@ def screen(
         before = sum(base.fits[block].log_likelihood for block in shown)
         gain = 2.0 * (estimate.log_likelihood - before)
         value = estimate.value[:count]
-        if not _possible(problem, rival, value):
-            continue
-        found.append(Screened(rival, gain - len(value) * math.log(base.samples), value))
+        if rival.effect.threshold:
+            possible = value[0] > 0.0
+            value = np.zeros(parameters)
+        else:
+            possible = _possible(problem, rival, value)
+        if possible:
+            found.append(Screened(rival, gain - parameters * math.log(base.samples), value))
     return sorted(found, key=lambda item: (-item.score, item.cause.name))
 
 

@@ -30,7 +30,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Cause, Problem
+from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import (
     Progress,
@@ -72,15 +72,6 @@ CONFIRMS, SHARE = 8.0, 0.1
 """
 Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
 first, and this share of what it should have.
-"""
-
-
-MATERIAL = 0.025
-"""
-Share of its typical value that an effect must have where it is sought in the currents.
-
-These are replayed from sampled voltages and counts; up to 0.1 % of them is an error of the replay
-itself, and where there is little noise the largest thing that is wrong.
 """
 
 
@@ -326,35 +317,23 @@ def _confirmed(
     needed = price(item, state.found, state.tried)
     if 2.0 * (item.log_likelihood - state.found.log_likelihood) < needed:
         return None
-    if not _material(finding, item.causes[-1]):
-        return None
     try:
         judged = evaluate(judging, item.causes)
         in_finding = caused_by_command(finding, state.found, item)
         in_judging = caused_by_command(judging, state.judged, judged)
     except UserError:
         return None
+    confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
     if in_judging.expected < TELLS:
         # That motion does not show the effect: what was found must be beyond doubt by itself.
-        return judged if in_finding.gain >= needed + TELLS else None
-    confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
+        sure = in_finding.gain >= needed + TELLS and confirmed > -TELLS
+        return judged if sure else None
     sure = (
         in_finding.gain + in_judging.gain >= needed
         and in_judging.gain >= CONFIRMS
         and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
     )
     return judged if sure else None
-
-
-def _material(problem: Problem, cause: Cause) -> bool:
-    """Return whether a cause is more than an error of the replay of the currents."""
-    if not {WINDINGS, CURRENT_LOOP}.intersection(problem.touched(cause.effect, cause.axis)):
-        return True
-    return any(
-        abs(cause.values[item.name] - item.neutral) >= MATERIAL * abs(item.typical - item.neutral)
-        for item in parameters_of(problem, cause)
-        if not item.shape and item.typical != item.neutral
-    )
 
 
 @dataclass(frozen=True)

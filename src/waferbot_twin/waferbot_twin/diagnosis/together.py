@@ -159,7 +159,8 @@ def take_out(
     found = evaluate(problem, found.causes)
     kept: set[str] = set()
     several = True
-    while True:
+    losses: dict[str, float] = {}
+    while found.causes:
         names = names_of(problem, found.causes)
         linear = linearise(problem, found, names, workers)
         without_it: dict[str, Hypothesis] = {}
@@ -206,7 +207,8 @@ def take_out(
         else:
             several = False
     whole = evaluate(finding, found.causes)
-    whole.covariance = smooth * linear.covariance
+    if whole.causes:
+        whole.covariance = smooth * linear.covariance
     return Together(whole, evaluate(judging, found.causes), losses)
 
 

@@ -2,15 +2,14 @@
 """
 The amplifier filters its command by a first-order low-pass that the model does not have.
 
-    y(n) = a y(n-1) + (1 - a) x(n),    a = exp(-T / tau)
+    y(n) = y(n-1) + (x(n) - y(n-1)) T / (T + tau)
 
-at the rate 1/T of the current loop, as a custom filter, so that it fades out continuously at tau =
-0.
+at the rate 1/T of the current loop, as a custom filter (backward differences): a small tau acts in
+proportion to its size.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from waferbot_copley.filters import CUSTOM, DISABLED
@@ -48,7 +47,7 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
     number = free_filter(variant, axis)
     if values['time_constant'] == 0.0 or number is None:
         return Overlay()
-    kept = math.exp(-Timing().tick_s / values['time_constant'])
+    kept = values['time_constant'] / (Timing().tick_s + values['time_constant'])
     return Overlay(copley={axis: custom_filter(number, (1.0 - kept, 0.0, 0.0, kept, 0.0))})
 
 
