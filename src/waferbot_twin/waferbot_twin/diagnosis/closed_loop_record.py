@@ -59,12 +59,16 @@ def run_commanded(
 
 
 def _axes_that_read(twin: Twin, counts: NDArray[np.float64]) -> dict[str, float]:
-    """Return the position of each axis, m or rad, at which its encoder shows these counts (3,)."""
+    """
+    Return the position of each axis, m or rad, at which its encoder shows these counts (3,).
+
+    In the middle of the count: counts are rounded down.
+    """
     parameters = twin.plant_parameters.copy()
     parameters['delay_fraction'] = 0.0  # it stands
     parameters['counts_per_unit'][:, len(AXES) :] = 0.0  # those of motors go with the others
     by_coordinate = np.zeros((1, len(twin.machine.coordinates)))
-    of_encoders = np.concatenate([counts, np.zeros(len(ENCODERS) - len(AXES))])
+    of_encoders = np.concatenate([counts + 0.5, np.zeros(len(ENCODERS) - len(AXES))])
     find_positions(twin.plant_state.copy(), parameters, of_encoders[None, :], by_coordinate)
     p, per_unit = parameters[0], twin.servo_parameters[0]['counts_per_unit']
     return {

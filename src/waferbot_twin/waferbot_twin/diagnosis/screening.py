@@ -6,14 +6,14 @@ The signature of an effect, what a little of it changes in the residuals, comes 
 itself, so a new effect needs no formula of its own here. Signatures are found once, with the causes that
 were known then; a later round finds anew only those that look most likely.
 
-An effect with a threshold changes nothing while there is little of it. It is tried at several sizes
-(`RUNGS`), and its signature is the whole of what it changes there, fitted with a factor.
+An effect with a threshold changes nothing while there is little of it. It is tried on several `rungs`,
+and its signature is the whole of what it changes there, fitted with a factor.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,13 +29,11 @@ from waferbot_twin.diagnosis.hypothesis import (
 from waferbot_twin.diagnosis.jointly import Signature, fit_jointly, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.effects.effect import Effect, Parameter, Values
+from waferbot_twin.diagnosis.rungs import rungs
+from waferbot_twin.effects.effect import Effect
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
-
-RUNGS = np.linspace(0.125, 1.125, 9)
-"""Sizes at which effects with a threshold are tried: 0 is neutral, 1 typical, in a geometric scale."""
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
@@ -67,26 +65,9 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                     item.name: trial.get(item.name, item.typical if item.shape else item.neutral)
                     for item in parameters
                 }
-                if effect.threshold:
-                    found += [Cause(effect, axis, rung) for rung in _rungs(parameters, values)]
-                else:
-                    found.append(Cause(effect, axis, values))
+                cause = Cause(effect, axis, values)
+                found += rungs(problem, cause) if effect.threshold else [cause]
     return found
-
-
-def _rungs(parameters: Sequence[Parameter], values: Values) -> Iterator[Values]:
-    """Give values at which to try an effect; its neutral values are not zero."""
-    for share in RUNGS:
-        yield {
-            item.name: values[item.name]
-            if item.shape
-            else float(
-                np.clip(
-                    item.neutral * (item.typical / item.neutral) ** share, item.low, item.high
-                )
-            )
-            for item in parameters
-        }
 
 
 def signatures(

@@ -32,6 +32,7 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_
 from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import (
     Progress,
     Screened,
@@ -232,8 +233,10 @@ def _fit_best(
         )
         if item.score < HOPELESS * gained:
             break
-        names = names_of(problem, (item.cause,))
-        (start,) = moved((item.cause,), names, item.value)
+        if item.cause.effect.threshold:
+            start = between_rungs(problem, base, item.cause)
+        else:
+            (start,) = moved((item.cause,), names_of(problem, (item.cause,)), item.value)
         try:
             fitted.append(fit_causes(problem, (*base.causes, start)))
         except UserError:
