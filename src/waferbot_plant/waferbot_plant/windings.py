@@ -45,6 +45,7 @@ WINDING_STATE = np.dtype(
     align=True,
 )
 
+
 def motor_encoder(description: Description, axis: str) -> int | None:
     """Return the place of the encoder that sits on an axis' motor, None if there is none."""
     if axis not in description.motors:

@@ -46,9 +46,6 @@ GROUPS = {
     )
 }
 
-FIXED_BY_CONSTRUCTION = ('order', 'period', 'every')
-"""Shapes that the construction of a machine fixes (turn, pole, tooth): those of a trial, as they are."""
-
 NOISE_LEVELS = (0.3, 3.0)
 
 
@@ -179,7 +176,7 @@ def draw_direction(name: str, variant: Variant, random: np.random.Generator) -> 
     for item in parameters:
         if item.shape:
             value = trial.get(item.name, item.typical)
-            if item.name not in FIXED_BY_CONSTRUCTION:
+            if not item.fixed:
                 value *= float(np.exp(random.uniform(-0.22, 0.22)))
             shapes[item.name] = min(max(value, item.low), item.high)
             widths.append(0.0)

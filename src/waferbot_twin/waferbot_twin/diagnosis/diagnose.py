@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
@@ -32,7 +33,7 @@ from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
 from waferbot_twin.diagnosis.together import far_channels
-from waferbot_twin.effects import cogging, library
+from waferbot_twin.effects import coarse_quantisation, cogging, library, sensors
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.places import motor_axes, moves_with
@@ -52,6 +53,9 @@ STRETCHES, PLAINLY = 20, 3.0
 
 UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
+
+LEAST_READINGS = 20
+"""Different readings that an encoder must have shown for their common step to be its resolution."""
 
 UNEXPLAINED_FLOORS = 5.0
 """A controller whose residual is this many times its resolution has something unexplained."""
@@ -159,9 +163,7 @@ def diagnose(
     nominal = sized_by(finding, nominal)
     roomy = host(nominal)
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
-    effects = [effect for name, effect in library().items() if name not in without]
-    if cogging.NAME not in without:
-        effects += _cogging_of_imported_logs(problem)
+    effects = _effects(problem, without)
     found = search(problem, judge, effects, progress, workers)
     if not found.found.causes:
         other = search(judge, problem, effects, progress, workers)
@@ -213,6 +215,31 @@ def diagnose(
         time.perf_counter() - begun_s,
         notes,
     )
+
+
+def _effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
+    """Return the effects to look for: the library's, with the sizes that the logs show themselves."""
+    effects = {name: [effect] for name, effect in library().items()}
+    effects[cogging.NAME] += _cogging_of_imported_logs(problem)
+    effects[coarse_quantisation.NAME] = _coarse_readings(problem)
+    return [item for name, found in effects.items() if name not in without for item in found]
+
+
+def _coarse_readings(problem: Problem) -> list[Effect]:
+    """Return coarse quantisation with the steps that the readings of all logs have in common."""
+    steps = {}
+    for axis in sensors.measured_axes(problem.nominal):
+        encoder = sensors.of_axis(problem.nominal, axis)
+        readings = np.concatenate(
+            [record.reading[:, ENCODERS.index(encoder.place)] for record in problem.records]
+        )
+        known = np.unique(readings[np.isfinite(readings)])
+        if len(known) < LEAST_READINGS or np.any(known % 1.0 != 0.0):
+            continue
+        step = float(np.gcd.reduce(np.diff(known).astype(np.int64)))
+        if step > encoder.errors.coarseness:
+            steps[axis] = step
+    return [coarse_quantisation.with_steps(steps)] if steps else []
 
 
 def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
@@ -330,11 +357,12 @@ def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
             )
         )
         place += len(parameters)
+        own |= dict.fromkeys(cause.held, 0.0)
         rivals = found.rivals.get(cause.name, [])
         result.append(
             FoundCause(
                 cause,
-                parameters,
+                cause.effect.parameters(problem.nominal, cause.axis),
                 own,
                 float(found.gains.get(cause.name, 0.0)),
                 _confidence(rivals, len(found.found.causes)),
@@ -349,7 +377,7 @@ def _alike(
 ) -> Iterator[Alike]:
     """Give the rivals of a cause that the logs cannot tell from it."""
     for item in rivals:
-        if item.behind < TELLS_APART:
+        if item.less_likely < TELLS_APART:
             try:
                 correlation = likeness(problem, found.found, cause, item.cause)
             except UserError:

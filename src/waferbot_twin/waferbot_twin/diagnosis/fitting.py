@@ -186,6 +186,4 @@ def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause
     for (place, item), amount in zip(names, change, strict=True):
         wanted = values[place][item.name] + float(amount)
         values[place][item.name] = float(np.clip(wanted, item.low, item.high))
-    return tuple(
-        Cause(cause.effect, cause.axis, new) for cause, new in zip(causes, values, strict=True)
-    )
+    return tuple(cause.with_values(new) for cause, new in zip(causes, values, strict=True))

@@ -39,7 +39,7 @@ class Hypothesis:
     @property
     def parameters(self) -> int:
         """Number of free parameters."""
-        return sum(len(cause.values) for cause in self.causes)
+        return sum(cause.free for cause in self.causes)
 
     @property
     def information_criterion(self) -> float:
@@ -59,8 +59,12 @@ def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
 
 
 def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
-    """Return the parameters of a cause."""
-    return cause.effect.parameters(problem.nominal, cause.axis)
+    """Return the parameters of a cause that are to be fitted."""
+    return tuple(
+        item
+        for item in cause.effect.parameters(problem.nominal, cause.axis)
+        if item.name not in cause.held
+    )
 
 
 def signature(
@@ -84,7 +88,7 @@ def signature(
             continue
         value = cause.values[item.name]
         step = _probe(item, value)
-        moved = Cause(cause.effect, cause.axis, {**cause.values, item.name: value + step})
+        moved = cause.with_values({item.name: value + step})
         variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
         for block in problem.touched(cause.effect, cause.axis):
             changed = np.concatenate(problem.residuals(variant, block))

@@ -4,8 +4,8 @@ Where the motors were at every tick, from the counts of their encoders.
 
 Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
 counts have, is an error k dx / L of the current. Positions are smoothed by a cubic over `SMOOTHED` rows
-(Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond), brought from when
-they were published to when they were read, and joined by a cubic spline.
+(Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond), brought
+from when they were published to when they were read, and joined by a cubic spline.
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
 procedures, Analytical Chemistry 36(8), 1964.

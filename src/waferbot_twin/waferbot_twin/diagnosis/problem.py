@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -46,16 +46,26 @@ class BlockOfLog(Protocol):
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect on an axis, with values of its parameters."""
+    """An effect on an axis, with values of its parameters; those `held` are not fitted."""
 
     effect: Effect
     axis: str
     values: Values
+    held: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
         """Effect and axis as one word."""
         return f'{self.effect.name}:{self.axis}'
+
+    @property
+    def free(self) -> int:
+        """Number of parameters to be fitted."""
+        return len(self.values) - len(self.held)
+
+    def with_values(self, values: Mapping[str, float]) -> Cause:
+        """Return the same cause with other values of some parameters."""
+        return replace(self, values={**self.values, **values})
 
 
 def apply_all(nominal: Variant, causes: Sequence[Cause]) -> Variant:

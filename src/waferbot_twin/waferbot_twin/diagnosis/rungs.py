@@ -3,15 +3,16 @@
 Effects with a threshold: limits that change nothing until something reaches them.
 
 Near its neutral value such an effect has no signature, and from a value that cuts off too much a
-Newton step leads back to where it does nothing. So it is tried on rungs between neutral (0) and a bit
+Newton step leads back to where it does nothing. So it is tried on rungs between neutral (0) and
 more than typical (1), in a geometric scale,
 
     value(u) = neutral (typical / neutral)^u,
 
 and the whole of what it changes there is fitted with a factor. A limit that cuts off too much has a
-factor below one, one that cuts off too little (or nothing) has one above: so from the rung that promises
-most, the value with a factor of one is found by halving, and there a fit begins. The likelihood itself is
-of no help: a limit a little too low is worse than none, and its maximum is too narrow to be found.
+factor below one, one that cuts off too little (or nothing) has one above: so from the rung that
+promises most, the value with a factor of one is found by halving, and there a fit begins. The
+likelihood itself is of no help: a limit a little too low is worse than none, and its maximum is too
+narrow to be found.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_
 from waferbot_twin.diagnosis.jointly import fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 
-STEP, RUNGS = 0.125, 9
+STEP, RUNGS = 0.125, 14
 """How far rungs are apart, and how many there are."""
 
 HALVINGS = 13
@@ -53,14 +54,13 @@ def between_rungs(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
 
 def _at(problem: Problem, cause: Cause, share: float) -> Cause:
     values = {
-        item.name: cause.values[item.name]
-        if item.shape
-        else float(
+        item.name: float(
             np.clip(item.neutral * (item.typical / item.neutral) ** share, item.low, item.high)
         )
         for item in parameters_of(problem, cause)
+        if not item.shape
     }
-    return Cause(cause.effect, cause.axis, values)
+    return cause.with_values(values)
 
 
 def _share(problem: Problem, cause: Cause) -> float:

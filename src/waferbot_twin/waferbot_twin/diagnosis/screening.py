@@ -7,7 +7,8 @@ itself, so a new effect needs no formula of its own here. Signatures are found o
 were known then; a later round finds anew only those that look most likely.
 
 An effect with a threshold changes nothing while there is little of it. It is tried on several `rungs`,
-and its signature is the whole of what it changes there, fitted with a factor.
+and its signature is the whole of what it changes there, fitted with a factor; so is that of an effect
+whose size the logs show themselves.
 """
 
 from __future__ import annotations
@@ -54,18 +55,19 @@ class Screened:
 
 def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
     """Return every effect on every axis where the logs could show it, with none of it yet."""
-    found = []
+    found: list[Cause] = []
     for effect in effects:
         for axis in effect.axes(problem.nominal):
             if not problem.touched(effect, axis):
                 continue
             parameters = effect.parameters(problem.nominal, axis)
+            held = tuple(item.name for item in parameters if item.fixed)
             for trial in effect.trials(problem.nominal, axis):
                 values = {
                     item.name: trial.get(item.name, item.typical if item.shape else item.neutral)
                     for item in parameters
                 }
-                cause = Cause(effect, axis, values)
+                cause = Cause(effect, axis, values, held)
                 found += rungs(problem, cause) if effect.threshold else [cause]
     return found
 
@@ -98,7 +100,7 @@ def _signatures(
     for rival in rivals:
         causes = (*base.causes, rival)
         try:
-            if rival.effect.threshold:
+            if _tried_as_a_whole(problem, rival):
                 own = whole_change(problem, base, causes)
             else:
                 own = signature(problem, base, causes, len(causes) - 1)
@@ -124,7 +126,8 @@ def screen(
         if not shown:
             continue
         parameters = len(parameters_of(problem, rival))
-        count = 1 if rival.effect.threshold else parameters
+        whole = _tried_as_a_whole(problem, rival)
+        count = 1 if whole else parameters
         beside = [item for item in of_base if shown.keys() & item.keys()]
         everything = side_by_side(
             [
@@ -137,7 +140,7 @@ def screen(
         before = sum(base.fits[block].log_likelihood for block in shown)
         gain = 2.0 * (estimate.log_likelihood - before)
         value = estimate.value[:count]
-        if rival.effect.threshold:
+        if whole:
             possible = value[0] > 0.0
             value = np.zeros(parameters)
         else:
@@ -145,6 +148,14 @@ def screen(
         if possible:
             found.append(Screened(rival, gain - parameters * math.log(base.samples), value))
     return sorted(found, key=lambda item: (-item.score, item.cause.name))
+
+
+def _tried_as_a_whole(problem: Problem, rival: Cause) -> bool:
+    """Return whether there is something of a candidate already, as a trial or on a rung."""
+    return any(
+        not item.shape and rival.values[item.name] != item.neutral
+        for item in parameters_of(problem, rival)
+    )
 
 
 def _possible(problem: Problem, rival: Cause, value: Array) -> bool:

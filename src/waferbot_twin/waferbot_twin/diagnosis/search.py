@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -54,6 +54,9 @@ from waferbot_twin.effects.effect import Block, Effect
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
 
+TRIALS = 3
+"""How many trials of an effect that promise as much are fitted."""
+
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
 
@@ -78,10 +81,16 @@ first, and this share of what it should have.
 
 @dataclass
 class Rival:
-    """What else was fitted in place of a cause: by how much less likely it is, in 2 ln L."""
+    """
+    What else was fitted in place of a cause.
+
+    By how much it is `behind` in Schwarz' criterion, and by how much `less_likely`, 2 ln L, all logs
+    together. One with more parameters may be far behind, and the logs cannot tell it all the same.
+    """
 
     cause: Cause
     behind: float
+    less_likely: float
 
 
 @dataclass
@@ -120,7 +129,7 @@ def search(
     for _ in range(MOST_ROUNDS):
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
-        fitted = _fit_best(finding, state.found, screened, progress)
+        fitted = _fit_best(finding, judging, state, screened, progress)
         taken = _take_best(finding, judging, state, fitted)
         fresh = not together and far(state.found) and not (taken and _in_controller(state.found))
         if fresh:
@@ -165,7 +174,7 @@ def _take(state: Search, result: Together) -> None:
     state.found, state.judged = result.found, result.judged
     state.gains = {
         cause.name: result.losses.get(cause.name, math.inf)
-        - len(cause.values) * math.log(state.found.samples)
+        - cause.free * math.log(state.found.samples)
         for cause in state.found.causes
     }
     names = set(state.gains)
@@ -213,35 +222,81 @@ def _screen_round(
     return sorted([*anew, *kept], key=lambda item: (-item.score, item.cause.name))
 
 
-def _fit_best(
-    problem: Problem, base: Hypothesis, screened: Sequence[Screened], progress: Progress
-) -> list[Hypothesis]:
-    """
-    Fit the best screened effects, one trial of each, beside the causes of `base`.
+@dataclass(frozen=True)
+class Fitted:
+    """A hypothesis fitted to the logs for finding, and as it stands in those for judging."""
 
-    Those that promise much less than another has already gained are not.
+    found: Hypothesis
+    judged: Hypothesis
+
+    @property
+    def log_likelihood(self) -> float:
+        """The sum over both kinds of logs."""
+        return self.found.log_likelihood + self.judged.log_likelihood
+
+    @property
+    def information_criterion(self) -> float:
+        """Schwarz' criterion with both kinds of logs."""
+        return self.found.information_criterion - 2.0 * self.judged.log_likelihood
+
+
+def _fit_best(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    screened: Sequence[Screened],
+    progress: Progress,
+) -> list[Fitted]:
     """
-    chosen: dict[str, Screened] = {}
-    for item in screened:
-        if item.score > 0.0 and len(chosen) < FITTED:
-            chosen.setdefault(item.cause.name, item)
-    fitted: list[Hypothesis] = []
-    for number, item in enumerate(chosen.values()):
+    Fit the best screened effects beside the causes of `state`.
+
+    Those that promise much less than another has already gained are not, if the logs for judging do
+    not speak against the other.
+    """
+    chosen = _most_promising(screened)
+    fitted: list[Fitted] = []
+    gained = 0.0
+    for number, item in enumerate(chosen):
         progress(f'fitting {item.cause.name}', number, len(chosen))
-        gained = max(
-            (2.0 * (other.log_likelihood - base.log_likelihood) for other in fitted), default=0.0
-        )
         if item.score < HOPELESS * gained:
             break
-        if item.cause.effect.threshold:
-            start = between_rungs(problem, base, item.cause)
-        else:
-            (start,) = moved((item.cause,), names_of(problem, (item.cause,)), item.value)
         try:
-            fitted.append(fit_causes(problem, (*base.causes, start)))
+            start = _start(finding, state.found, item)
+            found = fit_causes(finding, (*state.found.causes, start))
+            one = Fitted(found, evaluate(judging, found.causes))
         except UserError:
             continue
-    return sorted(fitted, key=lambda item: item.information_criterion)
+        fitted.append(one)
+        if one.judged.log_likelihood > state.judged.log_likelihood:
+            gained = max(gained, 2.0 * (found.log_likelihood - state.found.log_likelihood))
+    return sorted(fitted, key=lambda one: one.found.information_criterion)
+
+
+def _most_promising(screened: Sequence[Screened]) -> list[Screened]:
+    """Return the best screened effects, each with those trials that promise as much as its best."""
+    chosen: dict[str, list[Screened]] = {}
+    for item in screened:
+        name = item.cause.name
+        if item.score <= 0.0 or (name not in chosen and len(chosen) == FITTED):
+            continue
+        trials = chosen.setdefault(name, [])
+        if not trials or (
+            len(trials) < TRIALS
+            and trials[0].score - item.score < TELLS_APART
+            and not item.cause.effect.threshold
+        ):
+            trials.append(item)
+    return sorted(
+        (item for trials in chosen.values() for item in trials), key=lambda item: -item.score
+    )
+
+
+def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
+    """Return a screened cause where its fit begins."""
+    if item.cause.effect.threshold:
+        return between_rungs(problem, base, item.cause)
+    (start,) = moved((item.cause,), names_of(problem, (item.cause,)), item.value)
+    return start
 
 
 def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
@@ -250,7 +305,7 @@ def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
 
 
 def _take_best(
-    finding: Problem, judging: Problem, state: Search, fitted: Sequence[Hypothesis]
+    finding: Problem, judging: Problem, state: Search, fitted: Sequence[Fitted]
 ) -> bool:
     """
     Take the best fitted hypothesis that pays for itself and is confirmed, if there is one.
@@ -258,85 +313,74 @@ def _take_best(
     The best is the one that explains the logs for finding best; of those that do so as well, the one
     that explains those for judging best.
     """
-    taken: Confirmed | None = None
+    taken: Fitted | None = None
     for item in fitted:
-        if taken is not None and _behind(item, taken.found) > TELLS_APART:
+        if taken is not None and _behind(item.found, taken.found) > TELLS_APART:
             break
-        judged = _confirmed(finding, judging, state, item)
-        if judged is None:
+        if not _confirmed(finding, judging, state, item):
             continue
-        one = Confirmed(item, judged)
-        if taken is None or one.information_criterion < taken.information_criterion:
-            taken = one
+        if taken is None or item.information_criterion < taken.information_criterion:
+            taken = item
     if taken is None:
         return False
+    taken = _released(finding, judging, taken)
     name = taken.found.causes[-1].name
     state.gains[name] = -_behind(taken.found, state.found)
     state.rivals[name] = [
-        Rival(item.causes[-1], behind)
+        Rival(
+            item.found.causes[-1],
+            item.information_criterion - taken.information_criterion,
+            2.0 * (taken.log_likelihood - item.log_likelihood),
+        )
         for item in fitted
-        if item is not taken.found
-        and math.isfinite(behind := _behind_in_all(judging, item, taken))
+        if item.found.causes[-1].name != name
     ]
     state.found, state.judged = taken.found, taken.judged
     return True
 
 
-@dataclass(frozen=True)
-class Confirmed:
-    """A hypothesis in the logs for finding, and as it stands in those for judging."""
-
-    found: Hypothesis
-    judged: Hypothesis
-
-    @property
-    def information_criterion(self) -> float:
-        """Schwarz' criterion with both kinds of logs."""
-        return self.found.information_criterion - 2.0 * self.judged.log_likelihood
+def _released(finding: Problem, judging: Problem, taken: Fitted) -> Fitted:
+    """Return a hypothesis with what the trial held free, if the logs say plainly that it is else."""
+    *others, last = taken.found.causes
+    if not last.held:
+        return taken
+    try:
+        found = fit_causes(finding, (*others, replace(last, held=())))
+        free = Fitted(found, evaluate(judging, found.causes))
+    except UserError:
+        return taken
+    better = taken.information_criterion - free.information_criterion
+    return free if better > TELLS_APART else taken
 
 
 def _behind(item: Hypothesis, best: Hypothesis) -> float:
     return item.information_criterion - best.information_criterion
 
 
-def _behind_in_all(judging: Problem, item: Hypothesis, best: Confirmed) -> float:
-    """Return by how much a rival explains all logs less, in 2 ln L; infinite if it blows up."""
-    try:
-        judged = evaluate(judging, item.causes)
-    except UserError:
-        return math.inf
-    return Confirmed(item, judged).information_criterion - best.information_criterion
-
-
-def _confirmed(
-    finding: Problem, judging: Problem, state: Search, item: Hypothesis
-) -> Hypothesis | None:
+def _confirmed(finding: Problem, judging: Problem, state: Search, item: Fitted) -> bool:
     """
-    Return a hypothesis as it stands in the logs for judging, None if it is not to be believed.
+    Return whether a hypothesis is to be believed, by the logs for judging, too.
 
     What the command causes has to pay for the hypothesis in all logs together: a motion may be so slow
     that noise decides when an axis slides.
     """
-    needed = price(item, state.found, state.tried)
-    if 2.0 * (item.log_likelihood - state.found.log_likelihood) < needed:
-        return None
+    needed = price(item.found, state.found, state.tried)
+    if 2.0 * (item.found.log_likelihood - state.found.log_likelihood) < needed:
+        return False
     try:
-        judged = evaluate(judging, item.causes)
-        in_finding = caused_by_command(finding, state.found, item)
-        in_judging = caused_by_command(judging, state.judged, judged)
+        in_finding = caused_by_command(finding, state.found, item.found)
+        in_judging = caused_by_command(judging, state.judged, item.judged)
     except UserError:
-        return None
-    confirmed = 2.0 * (judged.log_likelihood - state.judged.log_likelihood)
+        return False
+    confirmed = 2.0 * (item.judged.log_likelihood - state.judged.log_likelihood)
     if in_judging.expected < TELLS:
         # That motion does not show the effect: what was found must be beyond doubt by itself.
-        sure = in_finding.gain >= needed + TELLS and confirmed > -TELLS
-        return judged if sure else None
-    sure = (
+        return in_finding.gain >= needed + TELLS and confirmed > -TELLS
+    return (
         in_finding.gain + in_judging.gain >= needed
         and in_judging.gain >= CONFIRMS
         and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
     )
-    return judged if sure else None
 
 
 @dataclass(frozen=True)

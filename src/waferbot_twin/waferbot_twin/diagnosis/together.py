@@ -176,9 +176,7 @@ def take_out(
             name: 2.0 * (found.log_likelihood - other.log_likelihood) / smooth
             for name, other in without_it.items()
         }
-        prices = {
-            cause.name: price_of(len(cause.values), found.samples, tried) for cause in found.causes
-        }
+        prices = {cause.name: price_of(cause.free, found.samples, tried) for cause in found.causes}
         spare = [name for name, loss in losses.items() if loss < prices[name] and name not in kept]
         needless = bool(spare)
         if not spare:

@@ -3,15 +3,31 @@
 The encoder shows only multiples of some counts: a lower resolution than the model has.
 
     n_shown = step floor(n / step)
+
+How large the step is, readings say themselves: `with_steps` gives the effect on the axes whose readings
+are all multiples of more than the model's, tried with that step alone. A fit could not find it: a step
+that is a little wrong explains nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from waferbot_twin.effects import sensors
-from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
+
+NAME = 'coarse_quantisation'
+
+
+def with_steps(steps: Mapping[str, float]) -> Effect:
+    """Return the effect on the axes of `steps` alone, each tried with its step, counts."""
+
+    def trials(variant: Variant, axis: str) -> tuple[Values, ...]:
+        return ({'step': steps[axis]},)
+
+    return replace(EFFECT, axes=lambda variant: tuple(steps), trials=trials)
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
@@ -25,7 +41,7 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 EFFECT = Effect(
-    'coarse_quantisation',
+    NAME,
     Block.SENSOR,
     'the encoder is coarser than in the model',
     sensors.measured_axes,

@@ -113,7 +113,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         for wave in ('cosine', 'sine')
     ]
     order = Parameter(
-        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True
+        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True, fixed=True
     )
     return (*amplitudes, order)
 

@@ -33,8 +33,10 @@ class Parameter:
     `neutral` is the value at which the effect is not there, `typical` one that is plainly seen on a
     real machine (the first trial of a fit), `low` and `high` bound what is physically possible.
     A `shape` parameter has no effect of its own (a phase, a frequency, a time constant): it only
-    says how the others act. What is held in whole numbers changes only in steps of `resolution`: a
-    difference quotient must not be taken over less. 0 is continuous.
+    says how the others act. A `fixed` one is given by how the machine was made (teeth, poles, a
+    turn): it is one of the trials, unless logs say plainly that it is none of them. What is held in
+    whole numbers changes only in steps of `resolution`: a difference quotient must not be taken over
+    less. 0 is continuous.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Parameter:
     meaning: str
     shape: bool = False
     resolution: float = 0.0
+    fixed: bool = False
 
 
 Trials = Callable[[Variant, str], tuple[Values, ...]]

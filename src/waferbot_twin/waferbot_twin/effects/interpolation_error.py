@@ -25,7 +25,15 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         Parameter('cosine', 'counts', 0.0, 0.02 * period, -most, most, 'amplitude of the cosine'),
         Parameter('sine', 'counts', 0.0, 0.015 * period, -most, most, 'amplitude of the sine'),
         Parameter(
-            'period', 'counts', period, period, 2.0, 100.0 * period, 'of one line', shape=True
+            'period',
+            'counts',
+            period,
+            period,
+            2.0,
+            100.0 * period,
+            'of one line',
+            shape=True,
+            fixed=True,
         ),
     )
 

@@ -22,7 +22,17 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     every = _spacings(variant, axis)[0]
     return (
         Parameter('counts', 'counts', 0.0, 20.0, -1e5, 1e5, 'lost at a mark'),
-        Parameter('every', unit, every, every, 1e-3 * every, 100.0 * every, 'apart', shape=True),
+        Parameter(
+            'every',
+            unit,
+            every,
+            every,
+            1e-3 * every,
+            100.0 * every,
+            'apart',
+            shape=True,
+            fixed=True,
+        ),
     )
 
 

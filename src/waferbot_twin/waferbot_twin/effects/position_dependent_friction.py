@@ -29,7 +29,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         Parameter('sine', unit, 0.0, 0.04 * rated, -most, most, 'amplitude of the sine'),
         Parameter(
             'period', length, period, period, 0.02 * period, 10.0 * period,
-            'of a turn, or of what is along a guide', shape=True,
+            'of a turn, or of what is along a guide', shape=True, fixed=True,
         ),
     )  # fmt: skip
 

@@ -105,7 +105,9 @@ def eccentricity_effect(
         return (
             Parameter('cosine', length, 0.0, typical, -most, most, 'amplitude of the cosine'),
             Parameter('sine', length, 0.0, 0.6 * typical, -most, most, 'amplitude of the sine'),
-            Parameter('period', length, period, period, low, high, 'of the error', shape=True),
+            Parameter(
+                'period', length, period, period, low, high, 'of the error', shape=True, fixed=True
+            ),
         )
 
     def changes(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:

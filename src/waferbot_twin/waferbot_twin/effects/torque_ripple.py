@@ -26,7 +26,17 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     return (
         Parameter('cosine', '', 0.0, 0.04, -MOST, MOST, 'relative amplitude of the cosine'),
         Parameter('sine', '', 0.0, 0.03, -MOST, MOST, 'relative amplitude of the sine'),
-        Parameter('order', '1/cycle', 6.0, 6.0, 0.01, 50.0, 'per electrical cycle', shape=True),
+        Parameter(
+            'order',
+            '1/cycle',
+            6.0,
+            6.0,
+            0.01,
+            50.0,
+            'per electrical cycle',
+            shape=True,
+            fixed=True,
+        ),
     )
 
 

@@ -51,7 +51,9 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     return (
         Parameter('cosine', unit, 0.0, typical, -most, most, 'amplitude of the cosine'),
         Parameter('sine', unit, 0.0, 0.7 * typical, -most, most, 'amplitude of the sine'),
-        Parameter('order', '', 1.0, 1.0, 1e-3, 500.0, 'per turn of the motor', shape=True),
+        Parameter(
+            'order', '', 1.0, 1.0, 1e-3, 500.0, 'per turn of the motor', shape=True, fixed=True
+        ),
     )
 
 

@@ -202,7 +202,7 @@ def _at(cause: Cause, parameters: Sequence[Parameter], scaled: Array) -> Cause:
         item.name: float(np.clip(share * scale, item.low, item.high))
         for item, share, scale in zip(parameters, scaled, _scales(parameters), strict=True)
     }
-    return Cause(cause.effect, cause.axis, values)
+    return cause.with_values(values)
 
 
 def _closest(difference: Callable[[Cause], Array], rival: Cause, problem: Problem) -> Cause:
