@@ -45,7 +45,8 @@ def run_commanded(
     """
     Run the closed loop of `variant` over commanded positions (cycles, 3) in counts of its encoders.
 
-    It begins at rest where its encoders show the first of them. Raises `UserError` if the loop is unstable.
+    It begins at rest where its encoders show the first of them. Raises `UserError` if the loop is
+    unstable.
     """
     machine = compact(variant).build(timing)
     twin = Twin(machine, variant.pmac, variant.copley, timing, variant.name)

@@ -253,7 +253,7 @@ def _fit_best(
     Those that promise much less than another has already gained are not, if the logs for judging do
     not speak against the other.
     """
-    chosen = _most_promising(screened)
+    chosen = _most_promising(finding, screened)
     fitted: list[Fitted] = []
     gained = 0.0
     for number, item in enumerate(chosen):
@@ -272,7 +272,7 @@ def _fit_best(
     return sorted(fitted, key=lambda one: one.found.information_criterion)
 
 
-def _most_promising(screened: Sequence[Screened]) -> list[Screened]:
+def _most_promising(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
     """Return the best screened effects, each with those trials that promise as much as its best."""
     chosen: dict[str, list[Screened]] = {}
     for item in screened:
@@ -280,15 +280,31 @@ def _most_promising(screened: Sequence[Screened]) -> list[Screened]:
         if item.score <= 0.0 or (name not in chosen and len(chosen) == FITTED):
             continue
         trials = chosen.setdefault(name, [])
-        if not trials or (
-            len(trials) < TRIALS
-            and trials[0].score - item.score < TELLS_APART
-            and not item.cause.effect.threshold
-        ):
+        if not trials or (len(trials) < TRIALS and _another_trial(problem, item, trials)):
             trials.append(item)
     return sorted(
         (item for trials in chosen.values() for item in trials), key=lambda item: -item.score
     )
+
+
+def _another_trial(problem: Problem, item: Screened, trials: Sequence[Screened]) -> bool:
+    """
+    Return whether a trial of an effect is worth a fit beside better ones.
+
+    It promises as much, or it is the best rung of another shape: what a limit promises on a rung says
+    little about what it does between two.
+    """
+    if not item.cause.effect.threshold:
+        return trials[0].score - item.score < TELLS_APART
+    own = _shape(problem, item.cause)
+    return all(own != _shape(problem, other.cause) for other in trials)
+
+
+def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
+    """Return the trial that a rung belongs to."""
+    return {
+        item.name: cause.values[item.name] for item in parameters_of(problem, cause) if item.shape
+    }
 
 
 def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
