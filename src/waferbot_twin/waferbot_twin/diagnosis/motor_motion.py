@@ -3,9 +3,9 @@
 Where the motors were at every tick, from the counts of their encoders.
 
 Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
-counts have, is an error k dx / L of the current. Positions are smoothed by a cubic over `SMOOTHED` rows
-(Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond), brought
-from when they were published to when they were read, and joined by a cubic spline.
+counts have, is an error k dx / L of the current. Positions are smoothed by a polynomial over `SMOOTHED`
+rows (Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond),
+brought from when they were published to when they were read, and joined by a cubic spline.
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
 procedures, Analytical Chemistry 36(8), 1964.
@@ -21,13 +21,13 @@ from waferbot_lockstep.contract import ENCODERS
 from waferbot_plant.windings import motor_positions
 from waferbot_twin.diagnosis.record import Array, Record
 
-SMOOTHED = 7
+SMOOTHED, DEGREE = 15, 5
 """
-Encoder rows that a reading is smoothed over, 0.8 ms.
+Encoder rows that a reading is smoothed over, 1.7 ms, and the degree of the polynomial.
 
-Over 1.2 ms a fast motor loses so much of its motion that the currents seem 0.03 % wrong, over 1.7 ms
-0.1 %, which in a quiet log is a cause. Over less than 0.8 ms there is nothing to win, and the counts
-show.
+A cubic over 1.2 ms (as noisy as a quintic over 2.1 ms) loses so much of a fast motor's motion that
+the currents seem 0.03 % wrong, which in a quiet log is a cause; this one leaves half of that. Over
+less there is little to win, and the counts show.
 """
 
 
@@ -49,7 +49,7 @@ class MotorMotion:
         As the encoders of `parameters` (`WINDING_PARAMETERS`) see them.
         """
         p = parameters[0]
-        read = savgol_filter(motor_positions(parameters, self._counts), SMOOTHED, 3, axis=0)
+        read = savgol_filter(motor_positions(parameters, self._counts), SMOOTHED, DEGREE, axis=0)
         rows = np.arange(self._ticks + 1) / self._timing.encoder_divider
         position = np.zeros((self._ticks + 1, read.shape[1]))
         for encoder in range(len(ENCODERS)):
