@@ -5,10 +5,15 @@ Fit of all parameters of a set of causes, through the simulation.
 Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
 success, and within the bounds of the parameters (a bounded linear least-squares problem): a
 compliance that shrinks to nothing stops there while the others go on.
+
+Where many parameters are fitted that the logs hardly tell apart (a mass and a force constant, without
+currents), what is usual decides: each is taken to be normally distributed about neutral, with `USUAL`
+times its typical size, and the logarithm of that is added to that of the likelihood.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +34,9 @@ ENOUGH = 0.02
 
 REACH, SHORTEST = 100.0, 0.01
 """First and shortest reach of a step, in widths of each parameter."""
+
+USUAL = 3.0
+"""Standard deviation of a parameter of a usual effect, in its typical size."""
 
 Names = Sequence[tuple[int, Parameter]]
 
@@ -54,24 +62,26 @@ def fit_causes(
     rounds: int = ROUNDS,
     workers: int = 1,
     enough: float = ENOUGH,
+    usual: float = 0.0,
 ) -> Hypothesis:
     """
     Return the causes with the values that make the logs most likely.
 
-    The fit ends when a round gains less than `enough` in ln L. Raises `UserError` if the simulation
+    The fit ends when a round gains less than `enough` in ln L. `usual` is the weight of what is usual:
+    the number of samples for each independent one, or nothing. Raises `UserError` if the simulation
     blows up where the fit begins.
     """
     now = evaluate(problem, causes)
     names = names_of(problem, causes)
     reach = REACH
     for _ in range(rounds if names else 0):
-        linear = linearise(problem, now, names, workers)
+        linear = linearise(problem, now, names, workers, usual)
         now.covariance = linear.covariance
-        better, reach = _step(problem, now, names, linear, reach)
+        better, reach = _step(problem, now, names, linear, reach, usual)
         if better is None:
             break
         better.covariance = linear.covariance
-        gain = better.log_likelihood - now.log_likelihood
+        gain = _merit(better, names, usual) - _merit(now, names, usual)
         now = better
         if gain < enough:
             break
@@ -87,8 +97,34 @@ def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
     ]
 
 
+def _merit(hypothesis: Hypothesis, names: Names, usual: float) -> float:
+    """Return ln L with that of what is usual."""
+    unusual = _unusual(hypothesis.causes, names)
+    return hypothesis.log_likelihood - 0.5 * usual * float(unusual @ unusual)
+
+
+def _unusual(causes: Sequence[Cause], names: Names) -> Array:
+    """Return every parameter of a usual effect in its standard deviations from neutral, else 0."""
+    return np.array(
+        [
+            (causes[place].values[item.name] - item.neutral) * _per_unit(causes[place], item)
+            for place, item in names
+        ]
+    )
+
+
+def _per_unit(cause: Cause, item: Parameter) -> float:
+    width = abs(item.typical - item.neutral)
+    return 1.0 / (USUAL * width) if cause.effect.usual and width > 0.0 else 0.0
+
+
 def _step(
-    problem: Problem, now: Hypothesis, names: Names, linear: Linear, reach: float
+    problem: Problem,
+    now: Hypothesis,
+    names: Names,
+    linear: Linear,
+    reach: float,
+    usual: float = 0.0,
 ) -> tuple[Hypothesis | None, float]:
     """Return the first better hypothesis within ever shorter reaches, or None, and the next reach."""
     while reach >= SHORTEST:
@@ -97,7 +133,7 @@ def _step(
             tried = evaluate(problem, moved(now.causes, names, change))
         except UserError:
             tried = now
-        if tried.log_likelihood > now.log_likelihood:
+        if _merit(tried, names, usual) > _merit(now, names, usual):
             return tried, 2.0 * reach
         widths = _widths(now.causes, names)
         reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
@@ -167,8 +203,10 @@ def _widths(causes: Sequence[Cause], names: Names) -> Array:
     )
 
 
-def linearise(problem: Problem, now: Hypothesis, names: Names, workers: int = 1) -> Linear:
-    """Return the linear problem about a hypothesis."""
+def linearise(
+    problem: Problem, now: Hypothesis, names: Names, workers: int = 1, usual: float = 0.0
+) -> Linear:
+    """Return the linear problem about a hypothesis, with the weight of what is usual."""
     own = Parallel(n_jobs=workers)(
         delayed(signature)(problem, now, now.causes, place) for place in range(len(now.causes))
     )
@@ -176,8 +214,19 @@ def linearise(problem: Problem, now: Hypothesis, names: Names, workers: int = 1)
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together)
     system, right = whitened_jointly(now.residuals, together, estimate)
+    if not usual:
+        orthogonal, triangle = np.linalg.qr(system)
+        return Linear(estimate.value, estimate.covariance, triangle, orthogonal.T @ right)
+    weight = math.sqrt(usual)
+    towards = weight * np.array([_per_unit(now.causes[place], item) for place, item in names])
+    system = np.vstack([system, np.diag(towards)])
+    right = np.concatenate([right, -weight * _unusual(now.causes, names)])
     orthogonal, triangle = np.linalg.qr(system)
-    return Linear(estimate.value, estimate.covariance, triangle, orthogonal.T @ right)
+    scale = np.maximum(np.linalg.norm(triangle, axis=0), 1e-300)
+    inverse = np.linalg.pinv(triangle / scale, rcond=1e-10)
+    right = orthogonal.T @ right
+    covariance = inverse @ inverse.T / np.outer(scale, scale)
+    return Linear(inverse @ right / scale, covariance, triangle, right)
 
 
 def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:

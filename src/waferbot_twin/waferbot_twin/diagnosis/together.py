@@ -132,7 +132,7 @@ def fit_together(
 ) -> Together:
     """Fit causes together from far off, then take out what is not needed."""
     progress('fitting together', 0, 2)
-    rough = fit_causes(finding.coarse(), causes, COARSE_ROUNDS, workers, ROUGHLY)
+    rough = fit_causes(finding.coarse(), causes, COARSE_ROUNDS, workers, ROUGHLY, SMOOTH)
     progress('fitting together', 1, 2)
     found = evaluate(finding, rough.causes)
     if not far(found):
@@ -155,6 +155,7 @@ def take_out(
     """
     rough = far(found)
     smooth = SMOOTH if rough else 1.0
+    usual = SMOOTH if rough else 0.0
     problem, judge = (finding.coarse(), judging.coarse()) if rough else (finding, judging)
     found = evaluate(problem, found.causes)
     kept: set[str] = set()
@@ -162,7 +163,7 @@ def take_out(
     losses: dict[str, float] = {}
     while found.causes:
         names = names_of(problem, found.causes)
-        linear = linearise(problem, found, names, workers)
+        linear = linearise(problem, found, names, workers, usual)
         without_it: dict[str, Hypothesis] = {}
         for place, cause in enumerate(found.causes):
             progress(f'is {cause.name} needed', place, len(found.causes))
@@ -192,7 +193,7 @@ def take_out(
         least = sorted(spare, key=lambda name: (losses[name], name))
         least = least[: max(1, len(least) // 2)] if several and needless else least[:1]
         left = tuple(cause for cause in found.causes if cause.name not in least)
-        fewer = fit_causes(problem, left, AGAIN_ROUNDS, workers)
+        fewer = fit_causes(problem, left, AGAIN_ROUNDS, workers, usual=usual)
         lost = 2.0 * (found.log_likelihood - fewer.log_likelihood) / smooth
         if needless:
             can_do = lost < sum(prices[name] for name in least)
