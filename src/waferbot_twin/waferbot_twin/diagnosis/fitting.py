@@ -35,7 +35,7 @@ ENOUGH = 0.02
 REACH, SHORTEST = 100.0, 0.01
 """First and shortest reach of a step, in widths of each parameter."""
 
-USUAL = 3.0
+USUAL = 1.0
 """Standard deviation of a parameter of a usual effect, in its typical size."""
 
 Names = Sequence[tuple[int, Parameter]]
