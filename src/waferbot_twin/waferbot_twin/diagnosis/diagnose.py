@@ -54,6 +54,9 @@ STRETCHES, PLAINLY = 20, 3.0
 UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
 
+MOST_ALIKE = 2
+"""How many causes at most are named that the logs cannot tell from one that was found."""
+
 LEAST_READINGS = 20
 """Different readings that an encoder must have shown for their common step to be its resolution."""
 
@@ -375,14 +378,19 @@ def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
 def _alike(
     problem: Problem, found: Search, cause: Cause, rivals: Sequence[Rival]
 ) -> Iterator[Alike]:
-    """Give the rivals of a cause that the logs cannot tell from it."""
-    for item in rivals:
-        if item.less_likely < TELLS_APART:
-            try:
-                correlation = likeness(problem, found.found, cause, item.cause)
-            except UserError:
-                correlation = math.nan
-            yield Alike(item.cause, item.behind, correlation)
+    """
+    Give the most plausible rivals of a cause that the logs cannot tell from it.
+
+    Every effect that contains the cause as a special case explains the logs as well (of a friction there
+    are six); more than the simplest few help nobody to decide what to do.
+    """
+    alike = [item for item in rivals if item.less_likely < TELLS_APART]
+    for item in sorted(alike, key=lambda item: item.behind)[:MOST_ALIKE]:
+        try:
+            correlation = likeness(problem, found.found, cause, item.cause)
+        except UserError:
+            correlation = math.nan
+        yield Alike(item.cause, item.behind, correlation)
 
 
 def _confidence(rivals: Sequence[Rival], causes: int) -> float:
@@ -393,7 +401,7 @@ def _confidence(rivals: Sequence[Rival], causes: int) -> float:
     """
     if not rivals and causes > 1:
         return UNRIVALLED
-    return 1.0 / (1.0 + sum(math.exp(-0.5 * min(item.behind, 700.0)) for item in rivals))
+    return 1.0 / (1.0 + sum(math.exp(-0.5 * max(item.behind, -100.0)) for item in rivals))
 
 
 def _where(problem: Problem, found: Search) -> dict[str, dict[str, float]]:

@@ -72,6 +72,9 @@ TELLS_APART = 10.0
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
 
+STANDARD_DEVIATIONS = 2.5
+"""How far from what it should gain a true cause may be in logs that hardly show it."""
+
 CONFIRMS, SHARE = 8.0, 0.1
 """
 Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
@@ -224,10 +227,15 @@ def _screen_round(
 
 @dataclass(frozen=True)
 class Fitted:
-    """A hypothesis fitted to the logs for finding, and as it stands in those for judging."""
+    """
+    A hypothesis fitted to the logs for finding, and as it stands in those for judging.
+
+    `confirmed`: it pays for itself and is to be believed.
+    """
 
     found: Hypothesis
     judged: Hypothesis
+    confirmed: bool = False
 
     @property
     def log_likelihood(self) -> float:
@@ -250,8 +258,7 @@ def _fit_best(
     """
     Fit the best screened effects beside the causes of `state`.
 
-    Those that promise much less than another has already gained are not, if the logs for judging do
-    not speak against the other.
+    Those that promise much less than another has already gained are not, if the other is confirmed.
     """
     chosen = _most_promising(finding, screened)
     fitted: list[Fitted] = []
@@ -266,8 +273,9 @@ def _fit_best(
             one = Fitted(found, evaluate(judging, found.causes))
         except UserError:
             continue
+        one = replace(one, confirmed=_confirmed(finding, judging, state, one))
         fitted.append(one)
-        if one.judged.log_likelihood > state.judged.log_likelihood:
+        if one.confirmed:
             gained = max(gained, 2.0 * (found.log_likelihood - state.found.log_likelihood))
     return sorted(fitted, key=lambda one: one.found.information_criterion)
 
@@ -333,7 +341,7 @@ def _take_best(
     for item in fitted:
         if taken is not None and _behind(item.found, taken.found) > TELLS_APART:
             break
-        if not _confirmed(finding, judging, state, item):
+        if not item.confirmed:
             continue
         if taken is None or item.information_criterion < taken.information_criterion:
             taken = item
@@ -342,15 +350,17 @@ def _take_best(
     taken = _released(finding, judging, taken)
     name = taken.found.causes[-1].name
     state.gains[name] = -_behind(taken.found, state.found)
-    state.rivals[name] = [
-        Rival(
+    rivals: dict[str, Rival] = {}
+    for item in sorted(fitted, key=lambda item: item.information_criterion):
+        rival = Rival(
             item.found.causes[-1],
             item.information_criterion - taken.information_criterion,
             2.0 * (taken.log_likelihood - item.log_likelihood),
         )
-        for item in fitted
-        if item.found.causes[-1].name != name
-    ]
+        if item.confirmed or rival.behind >= 0.0:  # else it was refuted, however likely it is
+            rivals.setdefault(rival.cause.name, rival)  # of several trials the best
+    rivals.pop(name)
+    state.rivals[name] = list(rivals.values())
     state.found, state.judged = taken.found, taken.judged
     return True
 
@@ -390,13 +400,24 @@ def _confirmed(finding: Problem, judging: Problem, state: Search, item: Fitted) 
         return False
     confirmed = 2.0 * (item.judged.log_likelihood - state.judged.log_likelihood)
     if in_judging.expected < TELLS:
-        # That motion does not show the effect: what was found must be beyond doubt by itself.
-        return in_finding.gain >= needed + TELLS and confirmed > -TELLS
+        # That motion does not show the effect: what was found must be beyond doubt by itself, and
+        # what little it should do there must not speak against it.
+        return in_finding.gain >= needed + TELLS and confirmed > _least(in_judging.expected)
     return (
         in_finding.gain + in_judging.gain >= needed
         and in_judging.gain >= CONFIRMS
         and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
     )
+
+
+def _least(expected: float) -> float:
+    """
+    Return the least that a true cause gains in 2 ln L where it should gain this much.
+
+    It is normally distributed about that, with a standard deviation of twice its root.
+    """
+    spread = 2.0 * math.sqrt(max(expected, 1.0))
+    return max(-TELLS, expected - STANDARD_DEVIATIONS * spread)
 
 
 @dataclass(frozen=True)
