@@ -222,7 +222,8 @@ def linearise(
     system = np.vstack([system, np.diag(towards)])
     right = np.concatenate([right, -weight * _unusual(now.causes, names)])
     orthogonal, triangle = np.linalg.qr(system)
-    scale = np.maximum(np.linalg.norm(triangle, axis=0), 1e-300)
+    scale = np.linalg.norm(triangle, axis=0)
+    scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv(triangle / scale, rcond=1e-10)
     right = orthogonal.T @ right
     covariance = inverse @ inverse.T / np.outer(scale, scale)
