@@ -2,7 +2,8 @@
 """
 Fits of many parameters with bounds, and what far from the machine means.
 
-Truth of the fits is scipy's bounded least squares, and plain least squares with a column left out.
+Truth of the fits is scipy's: bounded least squares, plain least squares with a column left out, and the
+maximum of a probability.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize
 
-from waferbot_twin.diagnosis.fitting import Linear, fit_causes, names_of, without
+from waferbot_twin.diagnosis.fitting import USUAL, Linear, fit_causes, names_of, without
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, Cause
 from waferbot_twin.diagnosis.together import far, usual_causes
@@ -30,6 +31,8 @@ TIME_S = np.linspace(0.0, 1.0, 400)
 
 class Term:
     """An effect of one parameter that only knows its own name."""
+
+    usual = True
 
     def __init__(self, name, low, high, typical=1.0, neutral=0.0):
         self.name = name
@@ -94,6 +97,31 @@ def test_a_fit_is_the_bounded_least_squares_one_also_where_a_bound_holds(offset_
     ).x
     assert values == pytest.approx(truth, rel=1e-3, abs=1e-3)
     assert (values[2] == 0.0) == (offset_low == 0.0)
+
+
+def test_what_is_usual_is_the_most_probable_where_the_logs_do_not_decide():
+    weight = 14.0
+    random = np.random.default_rng(SEED)
+    measured = model(8.0, 3.0, 0.0) + 0.5 * random.standard_normal(len(TIME_S))
+    causes = (
+        Cause(Term('amplitude', -100.0, 100.0, typical=2.0), 'x', {'value': 1.0}),
+        Cause(Term('rate', 0.0, 50.0, typical=5.0), 'x', {'value': 1.0}),
+        Cause(Term('offset', -50.0, 50.0, typical=0.1), 'x', {'value': 1.0}),
+    )
+    found = fit_causes(Decay(measured), causes, rounds=60, enough=1e-10, usual=weight)
+    values = [cause.values['value'] for cause in found.causes]
+    deviations = USUAL * np.array([2.0, 5.0, 0.1])
+
+    def improbability(x):
+        left = measured - model(*x)
+        own = 0.5 * weight * np.sum((x / deviations) ** 2)
+        return 0.5 * len(left) * np.log(np.mean(left**2)) + own
+
+    truth = minimize(improbability, values, method='Nelder-Mead', options={'xatol': 1e-8}).x
+    # a derivative is a difference over a tenth of the typical size
+    assert np.all(np.abs(values - truth) < 0.02 * deviations)
+    free = fit_causes(Decay(measured), causes, rounds=60, enough=1e-10)
+    assert abs(values[2]) < abs(free.causes[2].values['value'])
 
 
 def test_without_a_cause_the_others_make_up_for_it_as_least_squares_does():

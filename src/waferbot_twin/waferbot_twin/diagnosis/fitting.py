@@ -99,6 +99,8 @@ def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
 
 def _merit(hypothesis: Hypothesis, names: Names, usual: float) -> float:
     """Return ln L with that of what is usual."""
+    if not usual:
+        return hypothesis.log_likelihood
     unusual = _unusual(hypothesis.causes, names)
     return hypothesis.log_likelihood - 0.5 * usual * float(unusual @ unusual)
 
