@@ -20,6 +20,7 @@ be told apart from it with this data.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -53,6 +54,11 @@ from waferbot_twin.effects.effect import Block, Effect
 
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
+
+PAIRED, FLOORS = 5, 5.0
+"""
+How many effects of an exact block are fitted in pairs, and how many floors it must leave over for that.
+"""
 
 TRIALS = 3
 """How many trials of an effect that promise as much are fitted."""
@@ -133,6 +139,7 @@ def search(
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
         fitted = _fit_best(finding, judging, state, screened, progress)
+        fitted += _fit_pairs(finding, judging, state, screened, fitted, progress)
         taken = _take_best(finding, judging, state, fitted)
         fresh = not together and far(state.found) and not (taken and _in_controller(state.found))
         if fresh:
@@ -277,7 +284,68 @@ def _fit_best(
         fitted.append(one)
         if one.confirmed:
             gained = max(gained, 2.0 * (found.log_likelihood - state.found.log_likelihood))
-    return sorted(fitted, key=lambda one: one.found.information_criterion)
+    return fitted
+
+
+def _fit_pairs(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    screened: Sequence[Screened],
+    singles: Sequence[Fitted],
+    progress: Progress,
+) -> list[Fitted]:
+    """
+    Fit pairs of causes in blocks that leave nothing over if they are right, where singles leave some.
+
+    Two wrong settings of a controller partly make up for each other, and a third one may stand in
+    for both; with the right two the residual is zero.
+    """
+    confirmed = [item.found for item in singles if item.confirmed]
+    best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
+    found: list[Fitted] = []
+    for block in sorted(_exact(finding) & finding.blocks.keys()):
+        if not _left_over(finding, best, block):
+            continue
+        chosen: dict[str, Screened] = {}
+        for item in screened:
+            touched = finding.touched(item.cause.effect, item.cause.axis)
+            if item.score > 0.0 and touched == (block,) and len(chosen) < PAIRED:
+                chosen.setdefault(item.cause.name, item)
+        pairs = [
+            pair
+            for pair in itertools.combinations(chosen.values(), 2)
+            if pair[0].cause.axis == pair[1].cause.axis
+        ]
+        for number, pair in enumerate(pairs):
+            progress('fitting pairs', number, len(pairs))
+            try:
+                starts = [_start(finding, state.found, item) for item in pair]
+                both = fit_causes(finding, (*state.found.causes, *starts))
+                one = Fitted(both, evaluate(judging, both.causes))
+            except UserError:
+                continue
+            gained = 2.0 * (both.log_likelihood - best.log_likelihood)
+            if gained > price(both, best, state.tried):
+                found.append(replace(one, confirmed=_confirmed(finding, judging, state, one)))
+    return found
+
+
+def _exact(problem: Problem) -> set[str]:
+    """Return the blocks whose output follows from their input to the last bit."""
+    return {
+        block
+        for block, parts in problem.blocks.items()
+        if parts and not any(problem.orders(block))
+    }
+
+
+def _left_over(problem: Problem, hypothesis: Hypothesis, block: str) -> bool:
+    """Return whether an exact block leaves more than rounding over."""
+    return any(
+        float(np.sqrt(np.mean(residual**2))) > FLOORS * floor
+        for residual, floor in zip(hypothesis.residuals[block], problem.floors(block), strict=True)
+    )
 
 
 def _most_promising(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
@@ -338,7 +406,7 @@ def _take_best(
     that explains those for judging best.
     """
     taken: Fitted | None = None
-    for item in fitted:
+    for item in sorted(fitted, key=lambda item: item.found.information_criterion):
         if taken is not None and _behind(item.found, taken.found) > TELLS_APART:
             break
         if not item.confirmed:
@@ -348,8 +416,15 @@ def _take_best(
     if taken is None:
         return False
     taken = _released(finding, judging, taken)
-    name = taken.found.causes[-1].name
-    state.gains[name] = -_behind(taken.found, state.found)
+    new = [cause.name for cause in taken.found.causes[len(state.found.causes) :]]
+    state.gains |= dict.fromkeys(new, -_behind(taken.found, state.found))
+    state.rivals |= {name: _rivals(taken, fitted) if len(new) == 1 else [] for name in new}
+    state.found, state.judged = taken.found, taken.judged
+    return True
+
+
+def _rivals(taken: Fitted, fitted: Sequence[Fitted]) -> list[Rival]:
+    """Return what else was fitted in place of the cause that was taken, the best trial of each."""
     rivals: dict[str, Rival] = {}
     for item in sorted(fitted, key=lambda item: item.information_criterion):
         rival = Rival(
@@ -358,11 +433,9 @@ def _take_best(
             2.0 * (taken.log_likelihood - item.log_likelihood),
         )
         if item.confirmed or rival.behind >= 0.0:  # else it was refuted, however likely it is
-            rivals.setdefault(rival.cause.name, rival)  # of several trials the best
-    rivals.pop(name)
-    state.rivals[name] = list(rivals.values())
-    state.found, state.judged = taken.found, taken.judged
-    return True
+            rivals.setdefault(rival.cause.name, rival)
+    rivals.pop(taken.found.causes[-1].name, None)
+    return list(rivals.values())
 
 
 def _released(finding: Problem, judging: Problem, taken: Fitted) -> Fitted:
@@ -452,7 +525,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     )
     shape = np.array([item.shape for item in parameters_of(problem, cause)])
     change[shape] = 0.0
-    exact = {block for block in base.fits if not any(problem.orders(block))}
+    exact = _exact(problem) & base.fits.keys()
     sure = sum(
         2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)
         for block in sorted(exact)
