@@ -160,6 +160,13 @@ class Problem:
             return [0] * len(self.floors(block))
         return [part.order for part in self.blocks[block] for _ in part.floors]
 
+    @property
+    def exact_blocks(self) -> list[str]:
+        """The blocks whose output follows from their input to the last bit: nothing to whiten."""
+        return [
+            block for block, parts in self.blocks.items() if parts and not any(self.orders(block))
+        ]
+
     def channel_names(self, block: str) -> list[str]:
         """Return the name of every channel of a block, log by log."""
         return [name for part in self.blocks[block] for name in part.channels]

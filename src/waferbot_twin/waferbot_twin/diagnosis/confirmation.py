@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What makes a fitted cause credible: logs with another motion, and what the command made it do.
+
+In a closed loop noise moves the axis, the controller answers, and currents and noise go together. So a
+cause has to show in what the *command* caused, too (`closed_loop_record`), and in logs in which nothing
+was fitted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
+from waferbot_twin.diagnosis.problem import Problem
+from waferbot_twin.diagnosis.record import Array
+
+TELLS = 15.0
+"""Gain in 2 ln L that a log must be able to show for it to judge a cause."""
+
+STANDARD_DEVIATIONS = 2.5
+"""How far from what it should gain a true cause may be in logs that hardly show it."""
+
+CONFIRMS, SHARE = 8.0, 0.1
+"""
+Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
+first, and this share of what it should have.
+"""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """
+    A hypothesis fitted to the logs for finding, and as it stands in those for judging.
+
+    `confirmed`: it pays for itself and is to be believed.
+    """
+
+    found: Hypothesis
+    judged: Hypothesis
+    confirmed: bool = False
+
+    @property
+    def log_likelihood(self) -> float:
+        """The sum over both kinds of logs."""
+        return self.found.log_likelihood + self.judged.log_likelihood
+
+    @property
+    def information_criterion(self) -> float:
+        """Schwarz' criterion with both kinds of logs."""
+        return self.found.information_criterion - 2.0 * self.judged.log_likelihood
+
+
+def is_confirmed(
+    finding: Problem, judging: Problem, base: Fitted, item: Fitted, needed: float
+) -> bool:
+    """
+    Return whether a hypothesis is to be believed beside that without its last cause.
+
+    It has to gain `needed` in 2 ln L, and the logs for judging must not speak against it. What the
+    command causes has to pay for the hypothesis in all logs together: a motion may be so slow that noise
+    decides when an axis slides.
+    """
+    if 2.0 * (item.found.log_likelihood - base.found.log_likelihood) < needed:
+        return False
+    try:
+        in_finding = caused_by_command(finding, base.found, item.found)
+        in_judging = caused_by_command(judging, base.judged, item.judged)
+    except UserError:
+        return False
+    confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
+    if in_judging.expected < TELLS:
+        # That motion does not show the effect: what was found must be beyond doubt by itself, and
+        # what little it should do there must not speak against it.
+        return in_finding.gain >= needed + TELLS and confirmed > _least(in_judging.expected)
+    return (
+        in_finding.gain + in_judging.gain >= needed
+        and in_judging.gain >= CONFIRMS
+        and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
+    )
+
+
+def _least(expected: float) -> float:
+    """
+    Return the least that a true cause gains in 2 ln L where it should gain this much.
+
+    It is normally distributed about that, with a standard deviation of twice its root.
+    """
+    spread = 2.0 * math.sqrt(max(expected, 1.0))
+    return max(-TELLS, expected - STANDARD_DEVIATIONS * spread)
+
+
+@dataclass(frozen=True)
+class ByCommand:
+    """What a cause gains in 2 ln L by what the command makes it do, and what it should gain."""
+
+    gain: float
+    expected: float
+
+
+def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> ByCommand:
+    """
+    Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
+
+    Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base` in the
+    logs of `problem`. What it should gain is found by adding it, as large as in `more`, to what that fit
+    leaves over: noise with a large effect in it has another colour and variance, and the logarithm of
+    its likelihood falls much less than by the square of the effect.
+
+    Blocks whose output follows from their input to the last bit need no such protection, whatever
+    moved them: what they gain counts as it is.
+
+    Both hypotheses are those of the logs of `problem`. Logs that do not say what was commanded stand for
+    it themselves, with their noise: then this asks no more than whether the cause shows.
+    """
+    ideal = problem.ideal(more.causes) or problem
+    cause = more.causes[-1]
+    there = evaluate(ideal, more.causes)
+    own = signature(ideal, there, more.causes, len(more.causes) - 1)
+    change = np.array(
+        [cause.values[item.name] - item.neutral for item in parameters_of(problem, cause)]
+    )
+    shape = np.array([item.shape for item in parameters_of(problem, cause)])
+    change[shape] = 0.0
+    exact = [block for block in problem.exact_blocks if block in base.fits]
+    sure = sum(
+        2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)
+        for block in exact
+    )
+    shown = {block: matrix for block, matrix in own.items() if block not in exact and matrix.any()}
+    if not shown:
+        return ByCommand(sure, sure)
+    estimate = fit_jointly(problem, base.residuals, shown)
+    noise, with_cause = {}, {}
+    for block, matrix in shown.items():
+        channels = base.residuals[block]
+        fitted = by_channel(matrix @ estimate.value, channels)
+        noise[block] = [left + part for left, part in zip(channels, fitted, strict=True)]
+        caused = by_channel(matrix @ change, channels)
+        with_cause[block] = [left - part for left, part in zip(noise[block], caused, strict=True)]
+    quiet = _log_likelihood(problem, noise)
+    before = sum(base.fits[block].log_likelihood for block in shown)
+    expected = 2.0 * (quiet - _log_likelihood(problem, with_cause))
+    return ByCommand(2.0 * (quiet - before) + sure, expected + sure)
+
+
+def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:
+    return sum(item.log_likelihood for item in problem.judge(residuals).values())
