@@ -26,7 +26,8 @@ LARGEST = 160.0  # V
 class ForeignCopley(Node):
     def __init__(self):
         super().__init__('foreign_copley')
-        qos = QoSProfile(depth=64, reliability=ReliabilityPolicy.RELIABLE)
+        # As deep as the contract says: a recorder may be hundreds of ticks behind.
+        qos = QoSProfile(depth=1024, reliability=ReliabilityPolicy.RELIABLE)
         self.publisher = self.create_publisher(PhaseVoltages, 'phase_voltages', qos)
         self.newest = {}
         self.spacing = {PhaseCurrents: 1, Encoders: 2, CurrentCommand: 8}

@@ -29,7 +29,8 @@ LARGEST = 35.0  # A
 class ForeignPmac(Node):
     def __init__(self):
         super().__init__('foreign_pmac')
-        qos = QoSProfile(depth=64, reliability=ReliabilityPolicy.RELIABLE)
+        # As deep as the contract says: a recorder may be hundreds of ticks behind.
+        qos = QoSProfile(depth=1024, reliability=ReliabilityPolicy.RELIABLE)
         self.publisher = self.create_publisher(CurrentCommand, 'current_command', qos)
         self.create_subscription(Encoders, 'encoders', self.on_encoders, qos)
         self.create_timer(0.1, self.repeat)
