@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,7 +13,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from harness import Client, Program, run_engine
+from harness import PROFILES, Client, Program, run_engine
+
+os.environ[PROFILES] = str(Path(__file__).parent / 'fastdds.xml')
 
 
 @pytest.fixture

@@ -85,9 +85,13 @@ class Program:
                 os.kill(pid, signal.SIGKILL)
 
 
+PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+"""Where Fast DDS looks for its settings; those of the tests' own process are in `fastdds.xml`."""
+
+
 def user_environment() -> dict[str, str]:
     """Return the environment without what the tests' own clients and earlier runs may have set."""
-    ours = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_DOMAIN_ID')
+    ours = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_DOMAIN_ID', PROFILES)
     return {name: value for name, value in os.environ.items() if name not in ours}
 
 
