@@ -60,7 +60,7 @@ def is_confirmed(
     finding: Problem, judging: Problem, base: Fitted, item: Fitted, needed: float
 ) -> bool:
     """
-    Return whether a hypothesis is to be believed beside that without its last cause.
+    Return whether a hypothesis is to be believed beside `base`, that without its new causes.
 
     It has to gain `needed` in 2 ln L, and the logs for judging must not speak against it. What the
     command causes has to pay for the hypothesis in all logs together: a motion may be so slow that noise

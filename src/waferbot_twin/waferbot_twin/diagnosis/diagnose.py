@@ -60,9 +60,6 @@ MOST_ALIKE = 2
 LEAST_READINGS = 20
 """Different readings that an encoder must have shown for their common step to be its resolution."""
 
-UNEXPLAINED_FLOORS = 5.0
-"""A controller whose residual is this many times its resolution has something unexplained."""
-
 
 @dataclass(frozen=True)
 class Alike:
@@ -340,8 +337,8 @@ def _controller_left_over(problem: Problem, found: Search) -> list[str]:
     places = []
     channels = found.found.residuals[CONTROLLER]
     axes = problem.channel_names(CONTROLLER)
-    for axis, residual, floor in zip(axes, channels, problem.floors(CONTROLLER), strict=True):
-        if np.sqrt(np.mean(residual**2)) > UNEXPLAINED_FLOORS * floor and axis not in places:
+    for axis, left_over in zip(axes, problem.left_over(CONTROLLER, channels), strict=True):
+        if left_over and axis not in places:
             places.append(axis)
     return places
 

@@ -28,6 +28,9 @@ UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURREN
 ROUGH = 5.0
 """Floors below which a residual is as good as nothing, where the model is far from the machine."""
 
+ROUNDING = 5.0
+"""Floors from which on what an exact block leaves over is no rounding."""
+
 ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
 """The sections of a description that the windings depend on: the motion is measured, by encoders."""
 
@@ -165,6 +168,13 @@ class Problem:
         """The blocks whose output follows from their input to the last bit: nothing to whiten."""
         return [
             block for block, parts in self.blocks.items() if parts and not any(self.orders(block))
+        ]
+
+    def left_over(self, block: str, residuals: Sequence[Array]) -> list[bool]:
+        """Return for each channel of an exact block whether more than rounding is left over."""
+        return [
+            float(np.sqrt(np.mean(residual**2))) > ROUNDING * floor
+            for residual, floor in zip(residuals, self.floors(block), strict=True)
         ]
 
     def channel_names(self, block: str) -> list[str]:

@@ -31,7 +31,7 @@ STEP, RUNGS = 0.125, 14
 """How far rungs are apart, and how many there are."""
 
 HALVINGS = 13
-"""To 1/10000 of the way from neutral to typical; a fit does the rest."""
+"""To 1/4000 of the way from neutral to typical at least; a fit does the rest."""
 
 
 def rungs(problem: Problem, cause: Cause) -> Iterator[Cause]:

@@ -3,7 +3,8 @@
 From residuals to causes.
 
 1. **Screen** (`screening`): every effect on every axis, linearly.
-2. **Fit** (`fitting`): the best few through the simulation, with all causes found so far.
+2. **Fit** (`fitting`): the best few through the simulation, with all causes found so far; in pairs,
+   too, where a block that should leave nothing over still does.
 3. **Decide.** The best one is taken if the logarithm of its likelihood pays for its parameters and for
    the number M of effects that were tried,
 
@@ -55,10 +56,8 @@ from waferbot_twin.effects.effect import Block, Effect
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
 
-PAIRED, FLOORS = 5, 5.0
-"""
-How many effects of an exact block are fitted in pairs, and how many floors it must leave over for that.
-"""
+PAIRED = 5
+"""How many effects of an exact block are fitted in pairs."""
 
 TRIALS = 3
 """How many trials of an effect that promise as much are fitted."""
@@ -270,7 +269,7 @@ def _fit_pairs(
     best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
-        if not _left_over(finding, best, block):
+        if not any(finding.left_over(block, best.residuals[block])):
             continue
         chosen: dict[str, Screened] = {}
         for item in screened:
@@ -294,14 +293,6 @@ def _fit_pairs(
             if gained > price(both, best, state.tried):
                 found.append(replace(one, confirmed=_confirmed(finding, judging, state, one)))
     return found
-
-
-def _left_over(problem: Problem, hypothesis: Hypothesis, block: str) -> bool:
-    """Return whether an exact block leaves more than rounding over."""
-    return any(
-        float(np.sqrt(np.mean(residual**2))) > FLOORS * floor
-        for residual, floor in zip(hypothesis.residuals[block], problem.floors(block), strict=True)
-    )
 
 
 def _most_promising(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
