@@ -15,8 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
-from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
+from waferbot_twin.diagnosis.hypothesis import (
+    Hypothesis,
+    evaluate,
+    parameters_of,
+    signature,
+    whole_change,
+)
+from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import Array
 
@@ -119,14 +125,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     it themselves, with their noise: then this asks no more than whether the cause shows.
     """
     ideal = problem.ideal(more.causes) or problem
-    cause = more.causes[-1]
-    there = evaluate(ideal, more.causes)
-    own = signature(ideal, there, more.causes, len(more.causes) - 1)
-    change = np.array(
-        [cause.values[item.name] - item.neutral for item in parameters_of(problem, cause)]
-    )
-    shape = np.array([item.shape for item in parameters_of(problem, cause)])
-    change[shape] = 0.0
+    own, change = _shown_by(ideal, more)
     exact = [block for block in problem.exact_blocks if block in base.fits]
     sure = sum(
         2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)
@@ -147,6 +146,22 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     before = sum(base.fits[block].log_likelihood for block in shown)
     expected = 2.0 * (quiet - _log_likelihood(problem, with_cause))
     return ByCommand(2.0 * (quiet - before) + sure, expected + sure)
+
+
+def _shown_by(problem: Problem, more: Hypothesis) -> tuple[Signature, Array]:
+    """Return the signature of the last cause of `more`, and how much of it there is."""
+    cause = more.causes[-1]
+    if cause.narrow:
+        return whole_change(problem, evaluate(problem, more.causes[:-1]), more.causes), np.ones(1)
+    there = evaluate(problem, more.causes)
+    own = signature(problem, there, more.causes, len(more.causes) - 1)
+    change = np.array(
+        [
+            0.0 if item.shape else cause.values[item.name] - item.neutral
+            for item in parameters_of(problem, cause)
+        ]
+    )
+    return own, change
 
 
 def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:

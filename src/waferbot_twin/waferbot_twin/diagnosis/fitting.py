@@ -22,7 +22,13 @@ from joblib import Parallel, delayed
 from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.hypothesis import (
+    NARROW,
+    Hypothesis,
+    evaluate,
+    parameters_of,
+    signature,
+)
 from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side, whitened_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
@@ -193,16 +199,14 @@ def _least(matrix: Array, right: Array, low: Array, high: Array) -> Array:
 
 def _widths(causes: Sequence[Cause], names: Names) -> Array:
     """Return how far it is usual to move each parameter."""
-    return np.array(
-        [
-            max(
-                abs(item.typical - item.neutral),
-                abs(causes[place].values[item.name] - item.neutral),
-                1e-12,
-            )
-            for place, item in names
-        ]
-    )
+    return np.array([_width(causes[place], item) for place, item in names])
+
+
+def _width(cause: Cause, item: Parameter) -> float:
+    away = abs(cause.values[item.name] - item.neutral)
+    if cause.narrow:
+        return NARROW * away
+    return max(abs(item.typical - item.neutral), away, 1e-12)
 
 
 def linearise(

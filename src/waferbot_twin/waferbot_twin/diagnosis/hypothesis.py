@@ -16,6 +16,9 @@ from waferbot_twin.effects.effect import Parameter
 PROBE = 0.1
 """Share of an effect's typical value with which its signature is found."""
 
+NARROW = 0.002
+"""Width of a narrow cause, as a share of its value."""
+
 
 @dataclass
 class Hypothesis:
@@ -87,7 +90,7 @@ def signature(
                 found.setdefault(block, []).append(np.zeros(length))
             continue
         value = cause.values[item.name]
-        step = _probe(item, value)
+        step = _probe(cause, item)
         moved = cause.with_values({item.name: value + step})
         variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
         for block in problem.touched(cause.effect, cause.axis):
@@ -115,8 +118,11 @@ def whole_change(
     }
 
 
-def _probe(item: Parameter, value: float) -> float:
+def _probe(cause: Cause, item: Parameter) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
+    value = cause.values[item.name]
     width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)
+    if cause.narrow:
+        width = NARROW * (value - item.neutral)
     step = max(PROBE * abs(width), item.resolution)
     return step if item.low <= value + step <= item.high else -step

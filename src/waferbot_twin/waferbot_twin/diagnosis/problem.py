@@ -49,12 +49,18 @@ class BlockOfLog(Protocol):
 
 @dataclass(frozen=True)
 class Cause:
-    """An effect on an axis, with values of its parameters; those `held` are not fitted."""
+    """
+    An effect on an axis, with values of its parameters; those `held` are not fitted.
+
+    What makes a machine ring is `narrow`: logs tell its value to parts of a thousand, and beside
+    that they show nothing of it.
+    """
 
     effect: Effect
     axis: str
     values: Values
     held: tuple[str, ...] = ()
+    narrow: bool = False
 
     @property
     def name(self) -> str:

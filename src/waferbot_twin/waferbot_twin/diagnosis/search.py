@@ -34,6 +34,7 @@ from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature
 from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.resonances import screen_lines
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import (
     Progress,
@@ -216,7 +217,8 @@ def _screen_round(
         for item in screened
         if not changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
     ]
-    return sorted([*anew, *kept], key=lambda item: (-item.score, item.cause.name))
+    ringing = screen_lines(problem, base, rivals)
+    return sorted([*anew, *kept, *ringing], key=lambda item: (-item.score, item.cause.name))
 
 
 def _fit_best(

@@ -75,6 +75,7 @@ def compliance_effect(name: str, summary: str, group: Group) -> Effect:
         overlay,
         equation="F = e / compliance + d e', d = loss factor / (compliance omega_1), (5.4), (5.5)",
         usual=True,
+        rings=True,
     )
 
 

@@ -74,8 +74,9 @@ class Effect:
     `axes(variant)` the axes on which it makes sense; `overlay(variant, axis, values)` what it changes
     in a model that has none of it; `trials` other sets of shape parameters to begin a fit from;
     `equation` is for the documentation. An effect with a `threshold` (a limit, a gap) changes nothing
-    while it is small: its signature must be sought at typical values, not near the neutral ones. Of a
-    `usual` one every machine has some: where a model is far off, it is likely among what lacks.
+    while it is small: its signature must be sought at typical values, not near the neutral ones. A
+    little of one that `rings` makes the machine ring, the higher the less there is of it. Of a `usual`
+    one every machine has some: where a model is far off, it is likely among what lacks.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Effect:
     equation: str = ''
     threshold: bool = False
     usual: bool = False
+    rings: bool = False
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines in the spectrum of what is left over, and the compliance that makes one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.modes import coupled_modes
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import PLANT, Problem, apply_all
+from waferbot_twin.diagnosis.resonances import lines, screen_lines
+from waferbot_twin.diagnosis.screening import candidates
+from waferbot_twin.effects import find, library
+from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+
+RATE_HZ = 2250.0
+
+
+def left_over(channels):
+    """Return a problem of one log and a hypothesis with these residuals."""
+    part = SimpleNamespace(
+        channels=list(channels),
+        times_s=lambda name: np.arange(len(channels[name])) / RATE_HZ,
+    )
+    problem = SimpleNamespace(blocks={PLANT: [part]}, channel_names=lambda block: list(channels))
+    return problem, SimpleNamespace(residuals={PLANT: list(channels.values())})
+
+
+def test_a_line_is_found_and_noise_has_none():
+    seed = 20261123
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    time_s = np.arange(4500) / RATE_HZ
+    quiet = random.normal(0.0, 1.0, 4500)
+    loud = random.normal(0.0, 1.0, 4500) + 0.5 * np.sin(2.0 * np.pi * 612.0 * time_s)
+    (line,) = lines(*left_over({'x_rotate': quiet, 'y_linear': loud}))
+    assert line.channel == 'y_linear'
+    assert line.frequency_hz == pytest.approx(612.0, abs=RATE_HZ / 1024)
+    assert line.rate_hz == pytest.approx(RATE_HZ)
+
+
+def test_what_the_observer_holds_is_no_line():
+    time_s = np.arange(4500) / RATE_HZ
+    random = np.random.default_rng(1)
+    slow = random.normal(0.0, 1.0, 4500) + 5.0 * np.sin(2.0 * np.pi * 40.0 * time_s)
+    assert not lines(*left_over({'x_rotate': slow}))
+
+
+def log_of(variant, duration_s):
+    timing = Timing()
+    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, variant.name)
+    twin.commanded = commanded_positions(
+        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+    )
+    return record_of_signals('log', twin.advance(timing.ticks(duration_s)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('share', 'folds'), [(1e-3, False), (2e-4, True)])
+def test_a_stiff_part_that_rings_is_found_by_its_line(share, folds):
+    seed = 20261124
+    print(f'seed {seed}')
+    nominal = host(Variant.of(load_model('rigid')))
+    effect, axis = find('belt_compliance'), 'y_rotate'
+    (parameter,) = effect.parameters(nominal, axis)
+    true = share * parameter.typical
+    record = log_of(effect.apply(nominal, axis, {'compliance': true}), 1.2)
+    noise = np.random.default_rng(seed).normal(0.0, 0.5, record.reading.shape)
+    problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
+    base = evaluate(problem)
+    rivals = [item for item in candidates(problem, library().values()) if item.effect.rings]
+    screened = screen_lines(problem, base, rivals)
+    fitted = [
+        fit_causes(problem, (item.cause,))
+        for item in sorted(screened, key=lambda item: -item.score)[:3]
+    ]
+    best = max(fitted, key=lambda item: item.log_likelihood)
+    assert [cause.name for cause in best.causes] == ['belt_compliance:y_rotate']
+    assert best.causes[0].values['compliance'] == pytest.approx(true, rel=1e-3)
+    assert 2.0 * (best.log_likelihood - base.log_likelihood) > 50.0
+    (mode,) = coupled_modes(apply_all(nominal, best.causes).build(Timing()))
+    assert folds == (mode.frequency_hz > RATE_HZ / 2.0)

@@ -1,0 +1,262 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Parts that give a little, much stiffer than their data say: the machine rings.
+
+What such a compliance c changes is a ring at the frequency of its own mode, hundreds of hertz, for
+tenths of a second. A change of f by a part of a hertz then changes the phase of all of it, so the
+likelihood has a maximum only some parts of a thousand wide, and no way leads there from c = 0. But the
+ring shows as a line in the spectrum of what the plant leaves over, and a mode that is all in one part
+has
+
+    f = f_typical sqrt(c_typical / c).
+
+So each compliance is tried where one of its modes is on a line, also on one that is folded at half the
+rate of the samples (the encoders are faster); first by the modes of the machine, then corrected by the
+line that the simulation itself shows, which its steps in time make lower. Where that changes about as
+much as the line has, values close by are tried, each in whatever phase suits best: so the ring has to
+be coherent for as long as it lasts only, not the same to a part of a cycle. From the best one a fit
+finds the rest.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import hilbert, welch
+from scipy.stats import chi2
+
+from waferbot_lockstep.errors import UserError
+from waferbot_plant.modes import coupled_modes
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_change
+from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
+from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ, PlantBlock
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.screening import Screened
+
+SEGMENT = 1024
+"""Samples of a piece whose spectra are averaged."""
+
+BACKGROUND = 41
+"""Lines of a spectrum whose median is its background."""
+
+OVERLAPPING = 0.9
+"""Independent pieces that each of the pieces, which overlap by half, is worth."""
+
+CHANCE = 0.01
+"""Probability that white noise alone has a line."""
+
+MOST_LINES = 3
+
+OWN = 0.3
+"""Share of a mode's energy that a part has at least for the mode to be its own."""
+
+ALIKE = 10.0
+"""
+Ratio of RMS changes about a line within which a compliance may have made it: a few times too much
+of it is shaken by more than the right one is.
+"""
+
+NEAR = 0.06
+"""Share of a frequency that the steps of the simulation, and the observer, may move a line."""
+
+CORRECTIONS = 2
+"""How often a value is corrected by the line that it makes."""
+
+CLOSE = (
+    (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
+    (-0.003, -0.002, -0.001, 0.0, 0.001, 0.002, 0.003),
+)
+"""How far about a value others are tried, as a share of it; then closer about the best of these."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in the spectrum of a channel: frequency, power over background, rate of samples, Hz."""
+
+    channel: str
+    frequency_hz: float
+    prominence: float
+    rate_hz: float
+
+
+def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
+    """Try every compliance that the model holds rigid at the lines that it may have made."""
+    found = lines(problem, base)
+    screened = []
+    for cause in rivals if found else []:
+        parameters = parameters_of(problem, cause)
+        if cause.effect.rings and all(item.neutral == 0.0 for item in parameters):
+            screened += [
+                Screened(tried, gain - len(parameters) * math.log(base.samples), np.zeros(1))
+                for tried, gain in _at_lines(problem, base, cause, found)
+            ]
+    return screened
+
+
+def lines(problem: Problem, base: Hypothesis) -> list[Line]:
+    """Return the most prominent lines of what the plant leaves over, above what the observer holds."""
+    found: list[Line] = []
+    channels = list(dict.fromkeys(problem.channel_names(PLANT)))
+    for channel in channels:
+        spectrum = _spectrum(problem, base.residuals[PLANT], channel)
+        if spectrum is None:
+            continue
+        background = median_filter(spectrum.power, BACKGROUND)
+        prominence = spectrum.power / np.maximum(background, 1e-300)
+        least = _least_prominence(spectrum.pieces, len(prominence) * len(channels))
+        higher = np.maximum(prominence[:-2], prominence[2:])
+        peaks = 1 + np.flatnonzero(
+            (prominence[1:-1] > np.maximum(higher, least))
+            & (spectrum.frequency_hz[1:-1] > OBSERVER_HZ)
+        )
+        found += [
+            Line(
+                channel,
+                float(spectrum.frequency_hz[peak]),
+                float(prominence[peak]),
+                spectrum.rate_hz,
+            )
+            for peak in peaks
+        ]
+    chosen: list[Line] = []
+    for line in sorted(found, key=lambda line: -line.prominence):
+        apart = all(abs(line.frequency_hz / other.frequency_hz - 1.0) > NEAR for other in chosen)
+        if apart and len(chosen) < MOST_LINES:
+            chosen.append(line)
+    return chosen
+
+
+def _least_prominence(pieces: float, lines: int) -> float:
+    """
+    Return the power over the median that one of so many lines of noise exceeds with `CHANCE`.
+
+    The mean power of K independent pieces has a chi-squared distribution with 2 K degrees of freedom.
+    """
+    distribution = chi2(2.0 * pieces)
+    return float(distribution.isf(CHANCE / lines) / distribution.median())
+
+
+@dataclass(frozen=True)
+class _Spectrum:
+    """Rate of the samples, frequencies, power density, and of how many pieces it is the mean."""
+
+    rate_hz: float
+    frequency_hz: Array
+    power: Array
+    pieces: float
+
+
+def _spectrum(problem: Problem, channels: Sequence[Array], name: str) -> _Spectrum | None:
+    """Return the mean spectrum of a channel in all logs with its rate; None if all are too short."""
+    rate_hz, total, frequency_hz, pieces = 0.0, np.zeros(0), np.zeros(0), 0.0
+    parts = cast('list[PlantBlock]', problem.blocks[PLANT])
+    every = ((part.times_s(own), own) for part in parts for own in part.channels)
+    for (times_s, own), channel in zip(every, channels, strict=True):
+        if own != name or len(channel) < SEGMENT:
+            continue
+        rate = 1.0 / float(np.median(np.diff(times_s)))
+        if rate_hz and abs(rate / rate_hz - 1.0) > 1e-6:
+            continue
+        rate_hz = rate
+        frequency_hz, power = welch(channel, rate, nperseg=SEGMENT)
+        own_pieces = OVERLAPPING * (len(channel) // (SEGMENT // 2) - 1)
+        total = own_pieces * power + (total if len(total) else 0.0)
+        pieces += own_pieces
+    return _Spectrum(rate_hz, frequency_hz, total / pieces, pieces) if pieces else None
+
+
+def _at_lines(
+    problem: Problem, base: Hypothesis, cause: Cause, found: Sequence[Line]
+) -> Iterator[tuple[Cause, float]]:
+    """Give a compliance with each value that may have made a line, and its gain in 2 ln L there."""
+    (parameter,) = parameters_of(problem, cause)
+    typical = cause.with_values({parameter.name: parameter.typical})
+    for mode_hz, line in itertools.product(_own_modes(problem, base, typical), found):
+        for frequency_hz in (line.frequency_hz, line.rate_hz - line.frequency_hz):
+            value = parameter.typical * (mode_hz / frequency_hz) ** 2
+            if parameter.low < value < parameter.high:
+                start = replace(cause.with_values({parameter.name: value}), narrow=True)
+                yield from _near(problem, base, start, line, frequency_hz)
+
+
+def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[float]:
+    """Return the frequencies of the modes that a compliance makes, at its value."""
+    (parameter,) = parameters_of(problem, cause)
+    timing = problem.records[0].timing
+    value, more = cause.values[parameter.name], 1.01
+    softer = cause.with_values({parameter.name: more * value})
+    here, there = (
+        coupled_modes(apply_all(problem.nominal, (*base.causes, one)).build(timing))
+        for one in (cause, softer)
+    )
+    if len(here) != len(there):
+        return []
+    return [
+        mode.frequency_hz
+        for mode, moved in zip(here, there, strict=True)
+        if 1.0 - moved.frequency_hz / mode.frequency_hz > 0.5 * OWN * (more - 1.0)
+    ]
+
+
+def _near(
+    problem: Problem, base: Hypothesis, start: Cause, line: Line, frequency_hz: float
+) -> Iterator[tuple[Cause, float]]:
+    """Give the best value near a beginning, if the compliance changes about as much as a line has."""
+    (name,) = (item.name for item in parameters_of(problem, start))
+    measured_hz, measured = _line_at(problem, base.residuals[PLANT], line)
+    folded = -1.0 if frequency_hz > line.frequency_hz else 1.0
+    best = start
+    try:
+        for _ in range(CORRECTIONS):
+            change = whole_change(problem, base, (*base.causes, best))[PLANT]
+            channels = by_channel(change[:, 0], base.residuals[PLANT])
+            shown_hz, shown = _line_at(problem, channels, line)
+            if not measured / ALIKE < shown < measured * ALIKE:
+                return
+            too_high_hz = folded * (shown_hz - measured_hz)
+            factor = (1.0 + too_high_hz / frequency_hz) ** 2
+            best = best.with_values({name: best.values[name] * factor})
+        for close in CLOSE:
+            about = [
+                best.with_values({name: best.values[name] * (1.0 + share)}) for share in close
+            ]
+            likely = [_in_any_phase(problem, base, tried) for tried in about]
+            best, gain = about[int(np.argmax(likely))], max(likely)
+    except UserError:  # the machine blows up with it
+        return
+    yield best, gain
+
+
+def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
+    """
+    Return the gain in 2 ln L of what a cause changes, as large and in such phase as suits best.
+
+    That takes the change beside itself a quarter of a cycle later.
+    """
+    change = whole_change(problem, base, (*base.causes, cause))
+    both = {
+        block: np.column_stack([matrix, hilbert(matrix[:, 0]).imag])
+        for block, matrix in change.items()
+    }
+    found = fit_jointly(problem, base.residuals, both)
+    return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
+
+
+def _line_at(problem: Problem, channels: Sequence[Array], line: Line) -> tuple[float, float]:
+    """Return the frequency of the strongest line near another, Hz, and its RMS value, counts."""
+    spectrum = _spectrum(problem, channels, line.channel)
+    assert spectrum is not None  # it has a line
+    near = np.flatnonzero(np.abs(spectrum.frequency_hz / line.frequency_hz - 1.0) < NEAR)
+    strongest = int(near[np.argmax(spectrum.power[near])])
+    about = slice(max(strongest - 2, 0), strongest + 3)
+    power, frequency_hz = spectrum.power[about], spectrum.frequency_hz[about]
+    total = float(power.sum())
+    middle_hz = float(power @ frequency_hz) / total if total > 0.0 else line.frequency_hz
+    return middle_hz, math.sqrt(total * spectrum.rate_hz / SEGMENT)
