@@ -29,11 +29,9 @@ RATE_HZ = 2250.0
 
 def left_over(channels):
     """Return a problem of one log and a hypothesis with these residuals."""
-    part = SimpleNamespace(
-        channels=list(channels),
-        times_s=lambda name: np.arange(len(channels[name])) / RATE_HZ,
+    problem = SimpleNamespace(
+        channel_names=lambda block: list(channels), plant_rates_hz=[RATE_HZ] * len(channels)
     )
-    problem = SimpleNamespace(blocks={PLANT: [part]}, channel_names=lambda block: list(channels))
     return problem, SimpleNamespace(residuals={PLANT: list(channels.values())})
 
 

@@ -151,7 +151,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
 def _shown_by(problem: Problem, more: Hypothesis) -> tuple[Signature, Array]:
     """Return the signature of the last cause of `more`, and how much of it there is."""
     cause = more.causes[-1]
-    if cause.narrow:
+    if any(item.name in cause.narrow and not item.shape for item in parameters_of(problem, cause)):
         return whole_change(problem, evaluate(problem, more.causes[:-1]), more.causes), np.ones(1)
     there = evaluate(problem, more.causes)
     own = signature(problem, there, more.causes, len(more.causes) - 1)

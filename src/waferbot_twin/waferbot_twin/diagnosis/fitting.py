@@ -203,10 +203,10 @@ def _widths(causes: Sequence[Cause], names: Names) -> Array:
 
 
 def _width(cause: Cause, item: Parameter) -> float:
-    away = abs(cause.values[item.name] - item.neutral)
-    if cause.narrow:
-        return NARROW * away
-    return max(abs(item.typical - item.neutral), away, 1e-12)
+    value = cause.values[item.name]
+    if item.name in cause.narrow:
+        return NARROW * abs(value)
+    return max(abs(item.typical - item.neutral), abs(value - item.neutral), 1e-12)
 
 
 def linearise(

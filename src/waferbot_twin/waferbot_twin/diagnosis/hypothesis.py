@@ -17,7 +17,7 @@ PROBE = 0.1
 """Share of an effect's typical value with which its signature is found."""
 
 NARROW = 0.002
-"""Width of a narrow cause, as a share of its value."""
+"""Width of a narrow parameter, as a share of its value."""
 
 
 @dataclass
@@ -122,7 +122,7 @@ def _probe(cause: Cause, item: Parameter) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
     value = cause.values[item.name]
     width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)
-    if cause.narrow:
-        width = NARROW * (value - item.neutral)
+    if item.name in cause.narrow:
+        width = NARROW * value
     step = max(PROBE * abs(width), item.resolution)
     return step if item.low <= value + step <= item.high else -step

@@ -95,6 +95,7 @@ class PlantBlock:
         self.channels = [ENCODERS[place] for place in self._places]
         self._samples: list[NDArray[np.intp]] = []
         self.floors: list[float] = []
+        self.rates_hz: list[float] = []
         self._observer_hz = np.zeros(len(ENCODERS))
         for place in self._places:
             rows = np.flatnonzero(known[:, place])
@@ -106,6 +107,7 @@ class PlantBlock:
             samples = _samples(rows, group, GAP * usual, settling)
             judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
             self._samples.append(samples[judged])
+            self.rates_hz.append(rate_hz / group)
             self.floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
         shortest = min((len(samples) for samples in self._samples), default=0)
         self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -52,15 +52,15 @@ class Cause:
     """
     An effect on an axis, with values of its parameters; those `held` are not fitted.
 
-    What makes a machine ring is `narrow`: logs tell its value to parts of a thousand, and beside
-    that they show nothing of it.
+    Of those that are `narrow` logs tell the value to parts of a thousand, and beside that they show
+    nothing of it: a frequency, or what gives so little that it rings.
     """
 
     effect: Effect
     axis: str
     values: Values
     held: tuple[str, ...] = ()
-    narrow: bool = False
+    narrow: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -182,6 +182,12 @@ class Problem:
             float(np.sqrt(np.mean(residual**2))) > ROUNDING * floor
             for residual, floor in zip(residuals, self.floors(block), strict=True)
         ]
+
+    @property
+    def plant_rates_hz(self) -> list[float]:
+        """The rate of the plant's residual in every channel, log by log."""
+        parts = cast('list[PlantBlock]', self.blocks[PLANT])
+        return [rate for part in parts for rate in part.rates_hz]
 
     def channel_names(self, block: str) -> list[str]:
         """Return the name of every channel of a block, log by log."""

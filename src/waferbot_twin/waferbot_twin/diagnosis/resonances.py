@@ -24,7 +24,6 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -35,7 +34,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant.modes import coupled_modes
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_change
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ, PlantBlock
+from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
@@ -156,12 +155,10 @@ class _Spectrum:
 def _spectrum(problem: Problem, channels: Sequence[Array], name: str) -> _Spectrum | None:
     """Return the mean spectrum of a channel in all logs with its rate; None if all are too short."""
     rate_hz, total, frequency_hz, pieces = 0.0, np.zeros(0), np.zeros(0), 0.0
-    parts = cast('list[PlantBlock]', problem.blocks[PLANT])
-    every = ((part.times_s(own), own) for part in parts for own in part.channels)
-    for (times_s, own), channel in zip(every, channels, strict=True):
+    every = zip(problem.channel_names(PLANT), problem.plant_rates_hz, channels, strict=True)
+    for own, rate, channel in every:
         if own != name or len(channel) < SEGMENT:
             continue
-        rate = 1.0 / float(np.median(np.diff(times_s)))
         if rate_hz and abs(rate / rate_hz - 1.0) > 1e-6:
             continue
         rate_hz = rate
@@ -182,7 +179,9 @@ def _at_lines(
         for frequency_hz in (line.frequency_hz, line.rate_hz - line.frequency_hz):
             value = parameter.typical * (mode_hz / frequency_hz) ** 2
             if parameter.low < value < parameter.high:
-                start = replace(cause.with_values({parameter.name: value}), narrow=True)
+                start = replace(
+                    cause.with_values({parameter.name: value}), narrow=(parameter.name,)
+                )
                 yield from _near(problem, base, start, line, frequency_hz)
 
 

@@ -52,6 +52,7 @@ from waferbot_twin.diagnosis.together import (
     take_out,
     usual_causes,
 )
+from waferbot_twin.diagnosis.tones import at_tones
 from waferbot_twin.effects.effect import Block, Effect
 
 FITTED = 5
@@ -217,8 +218,14 @@ def _screen_round(
         for item in screened
         if not changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
     ]
-    ringing = screen_lines(problem, base, rivals)
-    return sorted([*anew, *kept, *ringing], key=lambda item: (-item.score, item.cause.name))
+    toned = at_tones(problem, base, rivals)
+    at_lines = [
+        *screen_lines(problem, base, rivals),
+        *screen(
+            problem, base, toned, signatures(problem, base, toned, workers, progress), of_base
+        ),
+    ]
+    return sorted([*anew, *kept, *at_lines], key=lambda item: (-item.score, item.cause.name))
 
 
 def _fit_best(

@@ -75,8 +75,9 @@ class Effect:
     in a model that has none of it; `trials` other sets of shape parameters to begin a fit from;
     `equation` is for the documentation. An effect with a `threshold` (a limit, a gap) changes nothing
     while it is small: its signature must be sought at typical values, not near the neutral ones. A
-    little of one that `rings` makes the machine ring, the higher the less there is of it. Of a `usual`
-    one every machine has some: where a model is far off, it is likely among what lacks.
+    little of one that `rings` makes the machine ring, the higher the less there is of it. `tone` is
+    the shape parameter that is a frequency, if the effect is there at this one and nowhere else. Of a
+    `usual` one every machine has some: where a model is far off, it is likely among what lacks.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Effect:
     threshold: bool = False
     usual: bool = False
     rings: bool = False
+    tone: str = ''
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""

@@ -84,5 +84,6 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     several_trials('frequency', 12.0, 25.0, 50.0),
+    tone='frequency',
     equation='a(t) = cosine cos(2 pi frequency t) + sine sin(2 pi frequency t)',
 )
