@@ -364,19 +364,16 @@ def _take_best(
     """
     Take the best fitted hypothesis that pays for itself and is confirmed, if there is one.
 
-    The best is the one that explains the logs for finding best; of those that do so as well, the one
-    that explains those for judging best.
+    The best is the one that explains the logs for finding best; of those that make these about as
+    likely, however many parameters that takes, the one that explains all logs best.
     """
-    taken: Fitted | None = None
-    for item in sorted(fitted, key=lambda item: item.found.information_criterion):
-        if taken is not None and _behind(item.found, taken.found) > TELLS_APART:
-            break
-        if not item.confirmed:
-            continue
-        if taken is None or item.information_criterion < taken.information_criterion:
-            taken = item
-    if taken is None:
+    confirmed = [item for item in fitted if item.confirmed]
+    if not confirmed:
         return False
+    best = min(confirmed, key=lambda item: item.found.information_criterion)
+    least = best.found.log_likelihood - 0.5 * TELLS_APART
+    alike = [item for item in confirmed if item.found.log_likelihood > least]
+    taken = min(alike, key=lambda item: item.information_criterion)
     taken = _released(finding, judging, taken)
     new = [cause.name for cause in taken.found.causes[len(state.found.causes) :]]
     state.gains |= dict.fromkeys(new, -_behind(taken.found, state.found))

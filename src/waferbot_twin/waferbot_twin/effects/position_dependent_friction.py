@@ -2,11 +2,14 @@
 """
 Dry friction that changes along the way: a bent rail, rail screws, an eccentric seal.
 
-    F = max(0, mean + cosine cos(2 pi x / period) + sine sin(2 pi x / period)) sign(v)
+    F = mean (1 + cosine cos(2 pi x / period) + sine sin(2 pi x / period)) sign(v)
+
+`cosine` and `sine` are shares of the mean, together less than all of it: friction never pushes.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -14,8 +17,8 @@ from waferbot_twin.effects import frictions, places
 from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
 
-_LEAST_SHARE = 1e-9
-"""What stands for a mean of zero, in amplitudes: the mechanism multiplies the mean by the wave."""
+LARGEST = 0.7
+"""Largest share of the mean of each of two waves, whose sum is never more than all of it."""
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
@@ -25,8 +28,10 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     most = 5.0 * rated
     return (
         Parameter('mean', unit, 0.0, 0.08 * rated, 0.0, most, 'mean friction'),
-        Parameter('cosine', unit, 0.0, 0.06 * rated, -most, most, 'amplitude of the cosine'),
-        Parameter('sine', unit, 0.0, 0.04 * rated, -most, most, 'amplitude of the sine'),
+        Parameter(
+            'cosine', '', 0.5, 0.5, -LARGEST, LARGEST, 'cosine, as a share of it', shape=True
+        ),
+        Parameter('sine', '', 0.0, 0.0, -LARGEST, LARGEST, 'sine, as a share of it', shape=True),
         Parameter(
             'period', length, period, period, 0.02 * period, 10.0 * period,
             'of a turn, or of what is along a guide', shape=True, fixed=True,
@@ -42,23 +47,25 @@ def _periods(variant: Variant, axis: str) -> tuple[float, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    amplitude = math.hypot(values['cosine'], values['sine'])
-    mean = max(values['mean'], _LEAST_SHARE * amplitude)
-    law = {}
-    if mean > 0.0:
-        period = 'period_rad' if places.rotary(variant, axis) else 'period_m'
-        law = {
-            'position_amplitude': amplitude / mean,
-            'position_phase_rad': math.atan2(values['sine'], values['cosine']),
-            period: values['period'],
-        }
+    period = 'period_rad' if places.rotary(variant, axis) else 'period_m'
+    law = {
+        'position_amplitude': math.hypot(values['cosine'], values['sine']),
+        'position_phase_rad': math.atan2(values['sine'], values['cosine']),
+        period: values['period'],
+    }
+    resistances = [values['mean']]
     return Overlay(
-        frictions.slot(variant, axis, 'position_dependent_friction', [0.0], [mean], law)
+        frictions.slot(variant, axis, 'position_dependent_friction', [0.0], resistances, law)
     )
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
-    return tuple({'period': period} for period in _periods(variant, axis))
+    """Return both periods, each with the highest friction at a beginning, a quarter, a half ..."""
+    quarters = ((0.5, 0.0), (0.0, 0.5), (-0.5, 0.0), (0.0, -0.5))
+    return tuple(
+        {'cosine': cosine, 'sine': sine, 'period': period}
+        for period, (cosine, sine) in itertools.product(_periods(variant, axis), quarters)
+    )
 
 
 EFFECT = Effect(
@@ -69,5 +76,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     _trials,
-    equation='F = max(0, mean + cosine cos kx + sine sin kx) sign(v), k = 2 pi / period',
+    equation='F = mean (1 + cosine cos kx + sine sin kx) sign(v), k = 2 pi / period',
 )

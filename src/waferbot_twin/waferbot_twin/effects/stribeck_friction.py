@@ -33,7 +33,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     return (
         Parameter('breakaway', unit, 0.0, 0.1 * rated, 0.0, 10.0 * rated, 'more at rest'),
         Parameter(
-            'speed', speed_unit, speed, speed, 0.02 * speed, 30.0 * speed,
+            'speed', speed_unit, speed, speed, 0.02 * speed, 8.0 * speed,
             "Stribeck's speed: a third is left there", shape=True,
         ),
     )  # fmt: skip
