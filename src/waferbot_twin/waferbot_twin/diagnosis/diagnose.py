@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -24,19 +24,17 @@ from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.diagnosis.left_over import doing_else, in_doubt, moving_axes, tables_of_rest
 from waferbot_twin.diagnosis.likeness import likeness
-from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.position_spectrum import orders_of
-from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
-from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.effects import coarse_quantisation, cogging, library, sensors
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
-from waferbot_twin.effects.places import motor_axes, moves_with
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.bags import is_bag, read_bag
 from waferbot_twin.logs.load import load_log
@@ -53,6 +51,9 @@ STRETCHES, PLAINLY = 20, 3.0
 
 UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
+
+DOUBTFUL = 0.5
+"""Confidence at most in a cause that leaves some over in a block where a right one leaves nothing."""
 
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""
@@ -183,14 +184,20 @@ def diagnose(
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
         axis_gains = gains(nominal, nominal, list(judging))
-    far_axes = _plant_left_over(problem, found)
-    unexplained = [] if far_axes else _left_over(problem, judge, found, progress, workers)
+    far_axes = moving_axes(problem, found)
+    unexplained = [] if far_axes else tables_of_rest(problem, judge, found, progress, workers)
     extended = apply_all(nominal, (*found.found.causes, *unexplained))
     if unexplained:
         axis_gains = gains(nominal, extended, list(judging))
     where = _where(problem, found)
     places = [cause.axis for cause in unexplained] + far_axes
-    places += _controller_left_over(problem, found)
+    else_axes = doing_else(problem, judge, found)
+    places += [axis for axes in else_axes.values() for axis in axes]
+    notes += [
+        f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
+        for block, axes in else_axes.items()
+        for axis in axes
+    ]
     if far_axes and found.found.causes:
         notes.append(
             'what is left over on '
@@ -198,7 +205,7 @@ def diagnose(
             + ' is no noise: the machine differs in more than the causes found, and their values are '
             'those that stand in for it best'
         )
-    causes = _found_causes(problem, found)
+    causes = _found_causes(problem, found, else_axes)
     return Diagnosis(
         nominal,
         extended,
@@ -301,49 +308,9 @@ def _change_of_square_error(item: AxisGain) -> Array:
     return np.array(means) / item.rms_before**2
 
 
-def _left_over(
-    problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int
-) -> list[Cause]:
-    """Return force tables that explain what the causes leave, if they are confirmed."""
-    with_causes = Problem(apply_all(problem.nominal, found.found.causes), problem.records)
-    judge_with = Problem(with_causes.nominal, judge.records)
-    rest = search(
-        with_causes, judge_with, tables(problem.nominal, problem.records), progress, workers
-    )
-    return list(rest.found.causes)
-
-
-def _plant_left_over(problem: Problem, found: Search) -> list[str]:
-    """Return the axes on which the plant with all causes still moves as no noise would make it."""
-    variant = problem.nominal
-    coordinates = {
-        variant.description.encoders[name].coordinate
-        for name, is_far in zip(
-            problem.channel_names(PLANT), far_channels(found.found), strict=True
-        )
-        if is_far
-    }
-    return [
-        axis
-        for axis in motor_axes(variant)
-        if any(moves_with(variant, axis, name) for name in coordinates)
-    ]
-
-
-def _controller_left_over(problem: Problem, found: Search) -> list[str]:
-    """Return the axes whose controller does something else than its model."""
-    if not problem.blocks[CONTROLLER]:
-        return []
-    places = []
-    channels = found.found.residuals[CONTROLLER]
-    axes = problem.channel_names(CONTROLLER)
-    for axis, left_over in zip(axes, problem.left_over(CONTROLLER, channels), strict=True):
-        if left_over and axis not in places:
-            places.append(axis)
-    return places
-
-
-def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
+def _found_causes(
+    problem: Problem, found: Search, else_axes: Mapping[str, Sequence[str]]
+) -> list[FoundCause]:
     """Return the causes with their evidence, the strongest first."""
     errors = standard_errors(found.found)
     result, place = [], 0
@@ -359,13 +326,16 @@ def _found_causes(problem: Problem, found: Search) -> list[FoundCause]:
         place += len(parameters)
         own |= dict.fromkeys(cause.held, 0.0)
         rivals = found.rivals.get(cause.name, [])
+        confidence = _confidence(rivals, len(found.found.causes))
+        if in_doubt(cause, problem, else_axes):
+            confidence = min(confidence, DOUBTFUL)
         result.append(
             FoundCause(
                 cause,
                 cause.effect.parameters(problem.nominal, cause.axis),
                 own,
                 float(found.gains.get(cause.name, 0.0)),
-                _confidence(rivals, len(found.found.causes)),
+                confidence,
                 tuple(_alike(problem, found, cause, rivals)),
             )
         )

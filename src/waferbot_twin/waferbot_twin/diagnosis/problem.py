@@ -28,9 +28,6 @@ UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURREN
 ROUGH = 5.0
 """Floors below which a residual is as good as nothing, where the model is far from the machine."""
 
-ROUNDING = 5.0
-"""Floors from which on what an exact block leaves over is no rounding."""
-
 ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
 """The sections of a description that the windings depend on: the motion is measured, by encoders."""
 
@@ -176,12 +173,18 @@ class Problem:
             block for block, parts in self.blocks.items() if parts and not any(self.orders(block))
         ]
 
-    def left_over(self, block: str, residuals: Sequence[Array]) -> list[bool]:
-        """Return for each channel of an exact block whether more than rounding is left over."""
-        return [
-            float(np.sqrt(np.mean(residual**2))) > ROUNDING * floor
-            for residual, floor in zip(residuals, self.floors(block), strict=True)
-        ]
+    def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> list[float]:
+        """Return by how much, in 2 ln L, each channel is less likely than one with nothing left over."""
+        found = []
+        for residual, floor, order in zip(
+            residuals, self.floors(block), self.orders(block), strict=True
+        ):
+            there, none = (
+                fit([one], [np.zeros((len(one), 0))], [floor], [order]).log_likelihood
+                for one in (residual, np.zeros_like(residual))
+            )
+            found.append(2.0 * (none - there))
+        return found
 
     @property
     def plant_rates_hz(self) -> list[float]:

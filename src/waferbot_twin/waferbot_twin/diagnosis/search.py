@@ -58,6 +58,9 @@ from waferbot_twin.effects.effect import Block, Effect
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
 
+PLAIN = 30.0
+"""Difference in 2 ln L from which on an exact block plainly does something else than its model."""
+
 PAIRED = 5
 """How many effects of an exact block are fitted in pairs."""
 
@@ -278,7 +281,8 @@ def _fit_pairs(
     best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
-        if not any(finding.left_over(block, best.residuals[block])):
+        left = finding.less_likely_than_nothing(block, best.residuals[block])
+        if max(left, default=0.0) < PLAIN:
             continue
         chosen: dict[str, Screened] = {}
         for item in screened:

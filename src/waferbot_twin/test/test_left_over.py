@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What causes leave over in a block that would leave nothing if they were right."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.left_over import doing_else, in_doubt
+from waferbot_twin.diagnosis.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+
+
+def cause(name, **values):
+    effect, axis = name.split(':')
+    return Cause(find(effect), axis, values)
+
+
+DERIVATIVE = cause('wrong_derivative_gain:y_linear', ratio=0.99)
+FEEDFORWARD = cause('wrong_velocity_feedforward:y_linear', difference=5.0)
+DEAD_TIME = cause('dead_time:x_rotate', voltage=0.5)
+
+
+@pytest.fixture(scope='module')
+def problem():
+    """Return a log of a machine with a wrong setting of the controller and one of an amplifier."""
+    nominal = host(Variant.of(load_model('rigid')))
+    variant = apply_all(nominal, [DERIVATIVE, DEAD_TIME])
+    timing = Timing()
+    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+    )
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
+
+
+def searched(problem, *causes):
+    nothing, found = evaluate(problem), evaluate(problem, causes)
+    return Search(found, found, nothing, nothing)
+
+
+@pytest.mark.slow
+def test_right_causes_leave_nothing_over(problem):
+    found = searched(problem, DERIVATIVE, DEAD_TIME)
+    assert doing_else(problem, problem, found) == {CONTROLLER: [], AMPLIFIER: []}
+
+
+@pytest.mark.slow
+def test_a_cause_that_stands_in_for_another_leaves_some_over_and_is_in_doubt(problem):
+    found = searched(problem, FEEDFORWARD)
+    axes = doing_else(problem, problem, found)
+    assert axes == {CONTROLLER: ['y_linear'], AMPLIFIER: ['x_rotate']}
+    assert in_doubt(FEEDFORWARD, problem, axes)
+    assert not in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem, axes)
+    # what also acts on the plant is judged by noise there
+    assert not in_doubt(cause('force_constant:x_rotate', ratio=0.9), problem, axes)

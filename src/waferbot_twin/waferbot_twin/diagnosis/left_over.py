@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the causes leave unexplained, and where.
+
+Three kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+block whose output follows from its input to the last bit still does something else; or a table of force
+over speed or position explains what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.nonparametric import tables
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.search import PLAIN, Search, search
+from waferbot_twin.diagnosis.together import far_channels
+from waferbot_twin.effects.places import motor_axes, moves_with
+
+LEFT_SHARE = 0.05
+"""
+Share of what the model left over, in 2 ln L, that right causes may leave in an exact block: their
+values are found to some parts of a thousand, and then single bits differ.
+"""
+
+
+def tables_of_rest(
+    problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int
+) -> list[Cause]:
+    """Return force tables that explain what the causes leave, if they are confirmed."""
+    with_causes = Problem(apply_all(problem.nominal, found.found.causes), problem.records)
+    judge_with = Problem(with_causes.nominal, judge.records)
+    rest = search(
+        with_causes, judge_with, tables(problem.nominal, problem.records), progress, workers
+    )
+    return list(rest.found.causes)
+
+
+def moving_axes(problem: Problem, found: Search) -> list[str]:
+    """Return the axes on which the plant with all causes still moves as no noise would make it."""
+    variant = problem.nominal
+    coordinates = {
+        variant.description.encoders[name].coordinate
+        for name, is_far in zip(
+            problem.channel_names(PLANT), far_channels(found.found), strict=True
+        )
+        if is_far
+    }
+    return [
+        axis
+        for axis in motor_axes(variant)
+        if any(moves_with(variant, axis, name) for name in coordinates)
+    ]
+
+
+def doing_else(problem: Problem, judge: Problem, found: Search) -> dict[str, list[str]]:
+    """
+    Return for each exact block the axes on which it does something else than the model with the causes.
+
+    More is left over than a right cause leaves, in all logs together.
+    """
+    axes: dict[str, list[str]] = {}
+    for block in problem.exact_blocks:
+        now, at_first = (
+            [
+                _less_likely_by_axis(problem, block, in_finding),
+                _less_likely_by_axis(judge, block, in_judging),
+            ]
+            for in_finding, in_judging in (
+                (found.found, found.judged),
+                (found.nothing, found.judged_nothing),
+            )
+        )
+        axes[block] = [
+            axis
+            for axis in now[0]
+            if _total(now, axis) > max(PLAIN, LEFT_SHARE * _total(at_first, axis))
+        ]
+    return axes
+
+
+def _total(by_axis: Sequence[Mapping[str, float]], axis: str) -> float:
+    return sum(item.get(axis, 0.0) for item in by_axis)
+
+
+def _less_likely_by_axis(problem: Problem, block: str, hypothesis: Hypothesis) -> dict[str, float]:
+    """Return by axis how much less likely a block is than one with nothing left over, in 2 ln L."""
+    found: dict[str, float] = {}
+    if block in hypothesis.residuals:
+        values = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
+        for name, value in zip(problem.channel_names(block), values, strict=True):
+            axis, _, _ = name.partition(' ')
+            found[axis] = found.get(axis, 0.0) + value
+    return found
+
+
+def in_doubt(cause: Cause, problem: Problem, axes: Mapping[str, Sequence[str]]) -> bool:
+    """Return whether a cause acts in exact blocks alone, one of which still does something else."""
+    touched = problem.touched(cause.effect, cause.axis)
+    return all(block in axes for block in touched) and any(
+        cause.axis in axes[block] for block in touched
+    )
