@@ -34,6 +34,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.servo import MOTOR_KILLED
 from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.gain import gains
 from waferbot_twin.diagnosis.hypothesis import evaluate
@@ -280,9 +281,14 @@ def _inseparable(
     finding: Sequence[Record],
     judging: Sequence[Record],
 ) -> bool:
-    """Return whether the true causes explain no log better than the reported ones, by simulation."""
+    """
+    Return whether the true causes explain no log better than the reported ones, by simulation.
+
+    The true causes have values fitted to the logs for finding, as those reported have.
+    """
     if not hidden or not report['causes']:
         return False
+    true_ones = fit_causes(Problem(nominal(model), finding), tuple(hidden)).causes
     reported = tuple(
         Cause(
             find(cause['effect']),
@@ -293,7 +299,7 @@ def _inseparable(
     )
     for records in (finding, judging):
         problem = Problem(nominal(model), records)
-        true, found = evaluate(problem, tuple(hidden)), evaluate(problem, reported)
+        true, found = evaluate(problem, true_ones), evaluate(problem, reported)
         if 2.0 * (true.log_likelihood - found.log_likelihood) >= TELLS_APART:
             return False
     return True

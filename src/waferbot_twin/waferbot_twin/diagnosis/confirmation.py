@@ -20,9 +20,8 @@ from waferbot_twin.diagnosis.hypothesis import (
     evaluate,
     parameters_of,
     signature,
-    whole_change,
 )
-from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
+from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import Array
 
@@ -119,13 +118,23 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     its likelihood falls much less than by the square of the effect.
 
     Blocks whose output follows from their input to the last bit need no such protection, whatever
-    moved them: what they gain counts as it is.
+    moved them: what they gain counts as it is. So does what makes the machine ring: it is the noise in
+    the currents that shakes it, too, and what a loop makes of noise has no line.
 
     Both hypotheses are those of the logs of `problem`. Logs that do not say what was commanded stand for
     it themselves, with their noise: then this asks no more than whether the cause shows.
     """
+    cause = more.causes[-1]
+    parameters = parameters_of(problem, cause)
+    if any(item.name in cause.narrow and not item.shape for item in parameters):
+        gained = 2.0 * (more.log_likelihood - base.log_likelihood)
+        return ByCommand(gained, gained)
     ideal = problem.ideal(more.causes) or problem
-    own, change = _shown_by(ideal, more)
+    there = evaluate(ideal, more.causes)
+    own = signature(ideal, there, more.causes, len(more.causes) - 1)
+    change = np.array(
+        [0.0 if item.shape else cause.values[item.name] - item.neutral for item in parameters]
+    )
     exact = [block for block in problem.exact_blocks if block in base.fits]
     sure = sum(
         2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)
@@ -146,22 +155,6 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     before = sum(base.fits[block].log_likelihood for block in shown)
     expected = 2.0 * (quiet - _log_likelihood(problem, with_cause))
     return ByCommand(2.0 * (quiet - before) + sure, expected + sure)
-
-
-def _shown_by(problem: Problem, more: Hypothesis) -> tuple[Signature, Array]:
-    """Return the signature of the last cause of `more`, and how much of it there is."""
-    cause = more.causes[-1]
-    if any(item.name in cause.narrow and not item.shape for item in parameters_of(problem, cause)):
-        return whole_change(problem, evaluate(problem, more.causes[:-1]), more.causes), np.ones(1)
-    there = evaluate(problem, more.causes)
-    own = signature(problem, there, more.causes, len(more.causes) - 1)
-    change = np.array(
-        [
-            0.0 if item.shape else cause.values[item.name] - item.neutral
-            for item in parameters_of(problem, cause)
-        ]
-    )
-    return own, change
 
 
 def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:

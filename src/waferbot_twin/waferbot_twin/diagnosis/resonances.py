@@ -74,6 +74,12 @@ CLOSE = (
 )
 """How far about a value others are tried, as a share of it; then closer about the best of these."""
 
+TUNING = tuple(np.geomspace(0.3, 4.0, 65))
+"""Times a value that others are tried, 4 % apart."""
+
+PLAINLY = 10.0
+"""Gain in 2 ln L from which on another value is plainly better."""
+
 
 @dataclass(frozen=True)
 class Line:
@@ -222,15 +228,45 @@ def _near(
             too_high_hz = folded * (shown_hz - measured_hz)
             factor = (1.0 + too_high_hz / frequency_hz) ** 2
             best = best.with_values({name: best.values[name] * factor})
-        for close in CLOSE:
-            about = [
-                best.with_values({name: best.values[name] * (1.0 + share)}) for share in close
-            ]
-            likely = [_in_any_phase(problem, base, tried) for tried in about]
-            best, gain = about[int(np.argmax(likely))], max(likely)
+        yield _closer(problem, base, best)
     except UserError:  # the machine blows up with it
         return
-    yield best, gain
+
+
+def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, float]:
+    """Return the best of the values close to that of a compliance, and its gain in 2 ln L."""
+    gain = -math.inf
+    for close in CLOSE:
+        cause, gain = _best(problem, base, cause, [1.0 + share for share in close])
+    return cause, gain
+
+
+def _best(
+    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
+) -> tuple[Cause, float]:
+    """Return the best of so many times the value of a compliance, and its gain in 2 ln L."""
+    (item,) = parameters_of(problem, cause)
+    value = cause.values[item.name]
+    about = [
+        cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
+        for factor in factors
+    ]
+    gains = [_in_any_phase(problem, base, tried) for tried in about]
+    return about[int(np.argmax(gains))], max(gains)
+
+
+def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
+    """
+    Return a compliance where it rings as the logs do, within some times its present value.
+
+    Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
+    told. The cause as it is where no other value explains the logs plainly better. Raises `UserError`.
+    """
+    (name,) = (item.name for item in parameters_of(problem, cause))
+    best, gain = _best(problem, base, replace(cause, narrow=(name,)), TUNING)
+    if gain < _in_any_phase(problem, base, cause) + PLAINLY:
+        return cause
+    return _closer(problem, base, best)[0]
 
 
 def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
