@@ -48,6 +48,13 @@ class ControllerBlock:
             np.int64
         )
 
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+        assert self.record.command is not None
+        timing = self.record.timing
+        first = round(self.record.judged_from_s * timing.servo_hz)
+        return np.asarray(np.arange(first, len(self.record.command)) / timing.servo_hz)
+
     def residuals(self, variant: Variant) -> list[Array]:
         """Return measured less computed command of every controlled axis, A."""
         assert self.record.command is not None

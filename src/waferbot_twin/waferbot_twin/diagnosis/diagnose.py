@@ -20,6 +20,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
@@ -192,6 +193,12 @@ def diagnose(
     where = _where(problem, found)
     places = [cause.axis for cause in unexplained] + far_axes
     else_axes = doing_else(problem, judge, found)
+    follow = axes_that_follow(problem, judge, found)
+    places += follow
+    if follow:
+        notes.append(
+            f'what is left over on {", ".join(follow)} follows the command: it is no noise'
+        )
     places += [axis for axes in else_axes.values() for axis in axes]
     notes += [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'

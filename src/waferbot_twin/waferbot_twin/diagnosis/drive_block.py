@@ -76,6 +76,13 @@ class _Lines:
         """Names of the lines."""
         return [f'{AXES[place // LINES]} line {place % LINES + 1}' for place in self._columns]
 
+    def times_s(self) -> Array:
+        """Return the time of every mean, s from the log's beginning."""
+        timing = self._timing
+        cycles = np.arange(len(self.current) // timing.servo_divider)
+        first = round(self._first_s * timing.servo_hz)
+        return np.asarray((cycles[first:] + 0.5) / timing.servo_hz)
+
     def means(self, left: Array) -> list[Array]:
         """Return the means over servo cycles of what is left over (ticks, 6), where it is judged."""
         divider = self._timing.servo_divider
@@ -85,7 +92,17 @@ class _Lines:
         return [means[first:, column] for column in self._columns]
 
 
-class AmplifierBlock:
+class _OfLines:
+    """What all blocks have whose channels are lines."""
+
+    _lines: _Lines
+
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+        return self._lines.times_s()
+
+
+class AmplifierBlock(_OfLines):
     """The amplifier's residual of one log, V, for any variant of the model."""
 
     order = 0
@@ -121,7 +138,7 @@ class AmplifierBlock:
         return self._lines.means(against_mean.reshape(record.ticks, -1))
 
 
-class WindingsBlock:
+class WindingsBlock(_OfLines):
     """The windings' residual of one log with voltages, A, for any variant of the model."""
 
     order = 4
@@ -150,7 +167,7 @@ class WindingsBlock:
         return self._lines.means(measured - computed)
 
 
-class CurrentLoopBlock:
+class CurrentLoopBlock(_OfLines):
     """Residual of amplifier and windings together, of a log without voltages, A."""
 
     order = 8

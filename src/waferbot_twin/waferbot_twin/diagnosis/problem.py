@@ -43,6 +43,9 @@ class BlockOfLog(Protocol):
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the residual of every channel."""
 
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+
 
 @dataclass(frozen=True)
 class Cause:

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is left over and follows the command, with no effect in mind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.following import axes_that_follow
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import Problem
+from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+from waferbot_twin.synthesis import with_noise
+
+SEED = 20261128
+
+
+@pytest.fixture(scope='module')
+def nominal():
+    return host(Variant.of(load_model('rigid')))
+
+
+def logged(nominal, variant, random):
+    timing = Timing()
+    noisy = with_noise(variant, nominal, 1.0, random)
+    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+    )
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.8)))])
+
+
+def axes_of(nominal, variant, seed):
+    random = np.random.default_rng(seed)
+    problem, judge = (logged(nominal, variant, random) for _ in range(2))
+    found, judged = evaluate(problem), evaluate(judge)
+    return axes_that_follow(problem, judge, Search(found, judged, found, judged))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(SEED, SEED + 4))
+def test_noise_does_not_follow_the_command(nominal, seed):
+    print(f'seed {seed}')
+    assert axes_of(nominal, nominal, seed) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('name', 'values'),
+    [
+        ('coulomb_friction', {'friction': 3.0}),  # of the plant
+        ('winding_temperature', {'rise': 40.0}),  # of the windings
+    ],
+)
+def test_something_that_the_model_lacks_does_on_its_axis(nominal, name, values):
+    print(f'seed {SEED}')
+    machine = find(name).apply(nominal, 'y_linear', values)
+    assert 'y_linear' in axes_of(nominal, machine, SEED)
+
+
+def test_logs_without_commands_say_nothing(nominal):
+    class Problem:
+        def ideal(self, causes):
+            return None
+
+    nothing = type('Hypothesis', (), {'causes': ()})
+    assert axes_that_follow(Problem(), Problem(), Search(*[nothing] * 4)) == []

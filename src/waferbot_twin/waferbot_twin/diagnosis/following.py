@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Does what is left over follow the command? Then something is missing, whatever it is.
+
+Noise knows nothing of what was commanded, nor does the noise-free log of the model with the causes
+found (`closed_loop_record`). So what an axis leaves over is regressed on what the command makes that
+axis do there: position, speed, acceleration, currents, some of their products, and the change of each,
+with the noise coloured as it is. Of noise alone, twice the gain in ln L has a chi-squared distribution
+with as many degrees of freedom as there are regressors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.stats import chi2
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Problem
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.logs.machine import POSITION_ENCODER
+
+CHANCE = 1e-5
+"""Probability that one channel of noise alone follows the command."""
+
+BLOCKS = (PLANT, WINDINGS)
+"""Those whose output is measured with noise and follows the command through a machine."""
+
+STANDS_COUNTS_S = 200.0
+"""Speed that is about none."""
+
+SMOOTHING_S = 0.005
+"""Over which signals are averaged, so that counts do not look like speed."""
+
+
+def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[str]:
+    """
+    Return the axes on which what the causes leave over follows the command, in all logs together.
+
+    None if a log does not have what was commanded.
+    """
+    axes: list[str] = []
+    both = []
+    for logs, hypothesis in ((problem, found.found), (judge, found.judged)):
+        ideal = logs.ideal(hypothesis.causes)
+        if ideal is None:
+            return []
+        both.append(
+            (
+                logs,
+                hypothesis,
+                {id(one): other for one, other in zip(logs.records, ideal.records, strict=True)},
+            )
+        )
+    for block in BLOCKS:
+        channels = dict.fromkeys(problem.channel_names(block)) if problem.blocks[block] else {}
+        for channel in channels:
+            axis = next(name for name in AXES if channel.startswith(name))
+            gained, regressors = np.sum(
+                [_gained(*one, block, channel, axis) for one in both], axis=0
+            )
+            if axis not in axes and gained > chi2.isf(CHANCE, max(regressors, 1)):
+                axes.append(axis)
+    return axes
+
+
+def _gained(
+    problem: Problem,
+    hypothesis: Hypothesis,
+    ideal: Mapping[int, Record],
+    block: str,
+    channel: str,
+    axis: str,
+) -> tuple[float, int]:
+    """Return what a channel gains in 2 ln L by the regressors, and how many of these there are."""
+    every = zip(
+        (part for part in problem.blocks[block] for _ in part.channels),
+        problem.channel_names(block),
+        hypothesis.residuals[block],
+        problem.floors(block),
+        problem.orders(block),
+        strict=True,
+    )
+    own = [
+        (residual, _regressors(ideal[id(part.record)], part.times_s(name), axis), floor, order)
+        for part, name, residual, floor, order in every
+        if name == channel
+    ]
+    if not own:
+        return 0.0, 0
+    left, matrices, floors, orders = (list(items) for items in zip(*own, strict=True))
+    moves = np.any([np.any(matrix != 0.0, axis=0) for matrix in matrices], axis=0)
+    with_them, without = (
+        fit(left, [matrix[:, columns] for matrix in matrices], floors, orders).log_likelihood
+        for columns in (moves, np.zeros_like(moves))
+    )
+    return 2.0 * (with_them - without), int(np.count_nonzero(moves))
+
+
+def _regressors(ideal: Record, times_s: Array, axis: str) -> Array:
+    """Return what the command makes an axis do, (samples, regressors), without any noise."""
+    timing = ideal.timing
+    place = AXES.index(axis)
+    encoder = ENCODERS.index(POSITION_ENCODER[axis])
+    rate_hz = timing.encoder_hz
+    width = max(3, round(SMOOTHING_S * rate_hz))
+    kernel = np.hanning(width + 2)
+    kernel /= kernel.sum()
+
+    def smooth(signal: Array) -> Array:
+        ends = np.pad(signal, width, mode='edge')
+        return np.asarray(np.convolve(ends, kernel, mode='same')[width:-width])
+
+    def change(signal: Array) -> Array:
+        return smooth(np.gradient(signal) * rate_hz)
+
+    position = smooth(ideal.reading[:, encoder] - ideal.reading[0, encoder])
+    speed = change(position)
+    acceleration = change(speed)
+    currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
+    first, second = smooth(currents[:, 0]), smooth(currents[:, 1])
+    direction = np.tanh(speed / STANDS_COUNTS_S)
+    signals = [
+        position,
+        speed,
+        acceleration,
+        first,
+        second,
+        direction,
+        np.abs(direction),
+        speed * np.abs(speed),
+        direction * position,
+        direction * np.hypot(first, second),
+    ]
+    columns = [*signals, *(change(signal) for signal in signals)]
+    clock_s = np.arange(len(position)) / rate_hz
+    return np.column_stack([np.interp(times_s, clock_s, column) for column in columns])
