@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of the fitted causes is taken."""
+"""Which of the fitted causes is taken, and what values a fit may give it."""
 
 from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.confirmation import Fitted
+from waferbot_twin.diagnosis.fitting import moved
+from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.search import Search, _take_best
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
 
 
 def hypothesis(cause, log_likelihood, parameters):
@@ -34,3 +40,21 @@ def test_a_cause_with_more_parameters_is_taken_if_the_other_logs_pay_for_them(co
     ]
     assert _take_best(None, None, state, fitted)
     assert state.found.causes[0].name == taken
+
+
+def test_settings_that_are_whole_numbers_stay_so():
+    nominal = Variant.of(load_model('rigid'))
+    causes = (
+        Cause(find('wrong_bias'), 'x_rotate', {'difference': 0.0}),
+        Cause(find('wrong_derivative_gain'), 'x_rotate', {'ratio': 1.0}),
+        Cause(find('coulomb_friction'), 'x_rotate', {'friction': 0.0}),
+    )
+    names = [
+        (place, item)
+        for place, cause in enumerate(causes)
+        for item in cause.effect.parameters(nominal, cause.axis)
+    ]
+    bias, derivative, friction = moved(causes, names, np.array([-3199.52, 0.0002, 0.123]))
+    assert bias.values == {'difference': -3200.0}
+    assert derivative.values == {'ratio': 1.0}
+    assert friction.values == {'friction': 0.123}

@@ -237,9 +237,12 @@ def linearise(
 
 
 def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:
-    """Return the causes with their parameters changed, within their bounds."""
+    """Return the causes with their parameters changed, within their bounds and in whole steps."""
     values = [dict(cause.values) for cause in causes]
     for (place, item), amount in zip(names, change, strict=True):
         wanted = values[place][item.name] + float(amount)
+        if item.resolution > 0.0:
+            steps = round((wanted - item.neutral) / item.resolution)
+            wanted = item.neutral + steps * item.resolution
         values[place][item.name] = float(np.clip(wanted, item.low, item.high))
     return tuple(cause.with_values(new) for cause, new in zip(causes, values, strict=True))
