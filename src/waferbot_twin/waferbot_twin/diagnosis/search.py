@@ -73,6 +73,12 @@ ANEW = 30
 HOPELESS = 0.3
 """Share of the best gain so far that screening must promise for a candidate to be fitted, too."""
 
+STRONG = 6.0
+"""
+Difference in Schwarz' criterion from which on evidence is strong: R. E. Kass, A. E. Raftery, Bayes
+factors, Journal of the American Statistical Association 90 (1995).
+"""
+
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""
 
@@ -370,16 +376,27 @@ def _take_best(
     """
     Take the best fitted hypothesis that pays for itself and is confirmed, if there is one.
 
-    The best is the one that explains the logs for finding best; of those that make these about as
-    likely, however many parameters that takes, the one that explains all logs best.
+    The best is the one that explains the logs for finding best; of those that do so as well, or make
+    them as likely with more parameters, the one that explains all logs best. One that is not the
+    simplest of them needs strong evidence.
     """
     confirmed = [item for item in fitted if item.confirmed]
     if not confirmed:
         return False
     best = min(confirmed, key=lambda item: item.found.information_criterion)
     least = best.found.log_likelihood - 0.5 * TELLS_APART
-    alike = [item for item in confirmed if item.found.log_likelihood > least]
-    taken = min(alike, key=lambda item: item.information_criterion)
+    alike = [
+        item
+        for item in confirmed
+        if _behind(item.found, best.found) <= TELLS_APART or item.found.log_likelihood > least
+    ]
+    fewest = min(item.found.parameters for item in alike)
+
+    def cost(item: Fitted) -> float:
+        more = item.found.parameters > fewest
+        return item.information_criterion + (STRONG if more else 0.0)
+
+    taken = min(alike, key=cost)
     taken = _released(finding, judging, taken)
     new = [cause.name for cause in taken.found.causes[len(state.found.causes) :]]
     state.gains |= dict.fromkeys(new, -_behind(taken.found, state.found))
