@@ -41,6 +41,13 @@ def test_what_is_lost_in_one_stretch_alone_may_be_chance():
     assert not _worse([gain('x_rotate', BEFORE, after)])
 
 
+def test_what_is_lost_in_one_stretch_alone_counts_if_it_is_much():
+    after = BEFORE.copy()
+    after[300:400] *= 4.0
+    assert np.std(after) / np.std(BEFORE) > 1.3
+    assert _worse([gain('x_rotate', BEFORE, after)])
+
+
 def test_noise_of_the_machine_makes_no_true_model_lose():
     seed = 20261121
     print(f'seed {seed}')

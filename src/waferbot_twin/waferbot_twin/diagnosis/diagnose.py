@@ -47,6 +47,9 @@ HELD_OUT = 0.4
 LOSES = 0.02
 """Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""
 
+MUCH = 0.5
+"""The same rise from which on it does not matter in how few stretches: 22 % in RMS."""
+
 STRETCHES, PLAINLY = 20, 3.0
 """Into how many stretches a log is divided, and how many standard errors are plain."""
 
@@ -293,7 +296,8 @@ def _worse(axis_gains: Sequence[AxisGain]) -> bool:
 
     The change of the square error, relative to that before and summed over the axes, is taken for each
     of some stretches of a log. It loses if their mean is above `LOSES` and so many standard errors
-    above zero: the machine's noise in one run makes even the true model lose a little somewhere. Many
+    above zero, or if it is `MUCH`: the machine's noise in one run makes even the true model lose a
+    little somewhere. Many
     causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
     """
     by_log: dict[str, list[Array]] = {}
@@ -305,7 +309,7 @@ def _worse(axis_gains: Sequence[AxisGain]) -> bool:
     changes = np.concatenate([np.sum(of_axes, axis=0) for of_axes in by_log.values()])
     mean = float(np.mean(changes))
     standard_error = float(np.std(changes, ddof=1)) / math.sqrt(len(changes))
-    return mean > max(LOSES, PLAINLY * standard_error)
+    return mean > min(max(LOSES, PLAINLY * standard_error), MUCH)
 
 
 def _change_of_square_error(item: AxisGain) -> Array:
