@@ -53,6 +53,8 @@ def at_tones(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> lis
 def tones(problem: Problem, base: Hypothesis) -> list[float]:
     """Return the frequencies, Hz, that stand out most in what the plant leaves over."""
     channels = problem.channel_names(PLANT)
+    if not channels:
+        return []
     rates_hz = problem.plant_rates_hz
     white = base.fits[PLANT].whitened
     rate_hz = max(rates_hz)
