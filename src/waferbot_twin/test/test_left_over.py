@@ -9,7 +9,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.left_over import doing_else, in_doubt
+from waferbot_twin.diagnosis.left_over import LeftOver, axes_that_differ
 from waferbot_twin.diagnosis.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.search import Search
 from waferbot_twin.effects import find
@@ -50,15 +50,17 @@ def searched(problem, *causes):
 @pytest.mark.slow
 def test_right_causes_leave_nothing_over(problem):
     found = searched(problem, DERIVATIVE, DEAD_TIME)
-    assert doing_else(problem, problem, found) == {CONTROLLER: [], AMPLIFIER: []}
+    assert axes_that_differ(problem, problem, found) == {CONTROLLER: [], AMPLIFIER: []}
 
 
 @pytest.mark.slow
 def test_a_cause_that_stands_in_for_another_leaves_some_over_and_is_in_doubt(problem):
     found = searched(problem, FEEDFORWARD)
-    axes = doing_else(problem, problem, found)
+    axes = axes_that_differ(problem, problem, found)
     assert axes == {CONTROLLER: ['y_linear'], AMPLIFIER: ['x_rotate']}
-    assert in_doubt(FEEDFORWARD, problem, axes)
-    assert not in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem, axes)
+    rest = LeftOver([], [], axes, [], [])
+    assert rest.axes == ['y_linear', 'x_rotate']
+    assert rest.in_doubt(FEEDFORWARD, problem)
+    assert not rest.in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem)
     # what also acts on the plant is judged by noise there
-    assert not in_doubt(cause('force_constant:x_rotate', ratio=0.9), problem, axes)
+    assert not rest.in_doubt(cause('force_constant:x_rotate', ratio=0.9), problem)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,12 +20,11 @@ import numpy as np
 
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
-from waferbot_twin.diagnosis.left_over import doing_else, in_doubt, moving_axes, tables_of_rest
+from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.position_spectrum import orders_of
@@ -188,42 +187,21 @@ def diagnose(
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
         axis_gains = gains(nominal, nominal, list(judging))
-    far_axes = moving_axes(problem, found)
-    unexplained = [] if far_axes else tables_of_rest(problem, judge, found, progress, workers)
-    extended = apply_all(nominal, (*found.found.causes, *unexplained))
-    if unexplained:
+    rest = left_over(problem, judge, found, progress, workers)
+    extended = apply_all(nominal, (*found.found.causes, *rest.tables))
+    if rest.tables:
         axis_gains = gains(nominal, extended, list(judging))
+    notes += rest.notes
     where = _where(problem, found)
-    places = [cause.axis for cause in unexplained] + far_axes
-    else_axes = doing_else(problem, judge, found)
-    follow = axes_that_follow(problem, judge, found)
-    places += follow
-    if follow:
-        notes.append(
-            f'what is left over on {", ".join(follow)} follows the command: it is no noise'
-        )
-    places += [axis for axes in else_axes.values() for axis in axes]
-    notes += [
-        f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
-        for block, axes in else_axes.items()
-        for axis in axes
-    ]
-    if far_axes and found.found.causes:
-        notes.append(
-            'what is left over on '
-            + ', '.join(far_axes)
-            + ' is no noise: the machine differs in more than the causes found, and their values are '
-            'those that stand in for it best'
-        )
-    causes = _found_causes(problem, found, else_axes)
+    causes = _found_causes(problem, found, rest)
     return Diagnosis(
         nominal,
         extended,
-        _verdict(causes, places),
+        _verdict(causes, rest.axes),
         causes,
         withdrawn,
-        unexplained,
-        places,
+        rest.tables,
+        rest.axes,
         axis_gains,
         where,
         [record.name for record in finding],
@@ -319,9 +297,7 @@ def _change_of_square_error(item: AxisGain) -> Array:
     return np.array(means) / item.rms_before**2
 
 
-def _found_causes(
-    problem: Problem, found: Search, else_axes: Mapping[str, Sequence[str]]
-) -> list[FoundCause]:
+def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[FoundCause]:
     """Return the causes with their evidence, the strongest first."""
     errors = standard_errors(found.found)
     result, place = [], 0
@@ -338,7 +314,7 @@ def _found_causes(
         own |= dict.fromkeys(cause.held, 0.0)
         rivals = found.rivals.get(cause.name, [])
         confidence = _confidence(rivals, len(found.found.causes))
-        if in_doubt(cause, problem, else_axes):
+        if rest.in_doubt(cause, problem):
             confidence = min(confidence, DOUBTFUL)
         result.append(
             FoundCause(

@@ -2,15 +2,17 @@
 """
 What the causes leave unexplained, and where.
 
-Three kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
-block whose output follows from its input to the last bit still does something else; or a table of force
-over speed or position explains what is left.
+Four kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+block whose output follows from its input to the last bit still does something else; what is left follows
+the command (`following`); or a table of force over speed or position explains it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
+from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
@@ -26,7 +28,62 @@ values are found to some parts of a thousand, and then single bits differ.
 """
 
 
-def tables_of_rest(
+@dataclass(frozen=True)
+class LeftOver:
+    """
+    What the causes leave unexplained.
+
+    Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
+    the command; by block those with something `different`; `tables` of force that explain it.
+    """
+
+    moving: list[str]
+    following: list[str]
+    different: Mapping[str, Sequence[str]]
+    tables: list[Cause]
+    notes: list[str]
+
+    @property
+    def axes(self) -> list[str]:
+        """All axes on which something is left unexplained, each once."""
+        every = [cause.axis for cause in self.tables] + self.moving + self.following
+        every += [axis for axes in self.different.values() for axis in axes]
+        return list(dict.fromkeys(every))
+
+    def in_doubt(self, cause: Cause, problem: Problem) -> bool:
+        """Return whether a cause acts in exact blocks alone, one of which still does something else."""
+        touched = problem.touched(cause.effect, cause.axis)
+        return all(block in self.different for block in touched) and any(
+            cause.axis in self.different[block] for block in touched
+        )
+
+
+def left_over(
+    problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int
+) -> LeftOver:
+    """Ask for all kinds of evidence; for tables only where the plant is near the machine."""
+    moving = axes_that_move(problem, found)
+    following = axes_that_follow(problem, judge, found)
+    different = axes_that_differ(problem, judge, found)
+    tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
+    notes = [
+        f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
+        for block, axes in different.items()
+        for axis in axes
+    ]
+    if following:
+        notes.append(
+            f'what is left over on {", ".join(following)} follows the command: it is no noise'
+        )
+    if moving and found.found.causes:
+        notes.append(
+            f'what is left over on {", ".join(moving)} is no noise: the machine differs in more than '
+            'the causes found, and their values are those that stand in for it best'
+        )
+    return LeftOver(moving, following, different, tables_found, notes)
+
+
+def _tables(
     problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int
 ) -> list[Cause]:
     """Return force tables that explain what the causes leave, if they are confirmed."""
@@ -38,7 +95,7 @@ def tables_of_rest(
     return list(rest.found.causes)
 
 
-def moving_axes(problem: Problem, found: Search) -> list[str]:
+def axes_that_move(problem: Problem, found: Search) -> list[str]:
     """Return the axes on which the plant with all causes still moves as no noise would make it."""
     variant = problem.nominal
     coordinates = {
@@ -55,7 +112,7 @@ def moving_axes(problem: Problem, found: Search) -> list[str]:
     ]
 
 
-def doing_else(problem: Problem, judge: Problem, found: Search) -> dict[str, list[str]]:
+def axes_that_differ(problem: Problem, judge: Problem, found: Search) -> dict[str, list[str]]:
     """
     Return for each exact block the axes on which it does something else than the model with the causes.
 
@@ -94,11 +151,3 @@ def _less_likely_by_axis(problem: Problem, block: str, hypothesis: Hypothesis) -
             axis, _, _ = name.partition(' ')
             found[axis] = found.get(axis, 0.0) + value
     return found
-
-
-def in_doubt(cause: Cause, problem: Problem, axes: Mapping[str, Sequence[str]]) -> bool:
-    """Return whether a cause acts in exact blocks alone, one of which still does something else."""
-    touched = problem.touched(cause.effect, cause.axis)
-    return all(block in axes for block in touched) and any(
-        cause.axis in axes[block] for block in touched
-    )
