@@ -24,8 +24,13 @@ from waferbot_twin.diagnosis.search import Search
 from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.logs.machine import POSITION_ENCODER
 
-CHANCE = 1e-5
-"""Probability that one channel of noise alone follows the command."""
+CHANCE = 1e-8
+"""
+Probability that one channel of noise alone follows the command.
+
+So small because coloured noise is only about an autoregression: in 60 empty pairs of logs a regressor of
+the plant gained 1.07 in the mean instead of 1, and of 600 channels one had a probability of 2e-5.
+"""
 
 BLOCKS = (PLANT, WINDINGS)
 """Those whose output is measured with noise and follows the command through a machine."""
