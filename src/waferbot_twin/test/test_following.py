@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.following import axes_that_follow
@@ -66,10 +69,15 @@ def test_something_that_the_model_lacks_does_on_its_axis(nominal, name, values):
     assert 'y_linear' in axes_of(nominal, machine, SEED)
 
 
-def test_logs_without_commands_say_nothing(nominal):
-    class Problem:
-        def ideal(self, causes):
-            return None
+def test_without_a_noise_free_log_nothing_is_said():
+    """A log without commands has none, and a model whose loop is unstable."""
+    nothing = SimpleNamespace(causes=())
+    search = Search(*[nothing] * 4)
+    uncommanded = SimpleNamespace(ideal=lambda causes: None)
+    assert axes_that_follow(uncommanded, uncommanded, search) == []
 
-    nothing = type('Hypothesis', (), {'causes': ()})
-    assert axes_that_follow(Problem(), Problem(), Search(*[nothing] * 4)) == []
+    def blows_up(causes):
+        raise UserError('the loop is unstable')
+
+    unstable = SimpleNamespace(ideal=blows_up)
+    assert axes_that_follow(unstable, unstable, search) == []

@@ -15,12 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import (
-    Hypothesis,
-    evaluate,
-    parameters_of,
-    signature,
-)
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import Array

@@ -52,6 +52,7 @@ CHANCE = 0.01
 """Probability that white noise alone has a line."""
 
 MOST_LINES = 3
+"""How many lines are tried: each costs up to some twenty simulations for every compliance."""
 
 OWN = 0.3
 """Share of a mode's energy that a part has at least for the mode to be its own."""
@@ -96,13 +97,18 @@ def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) ->
     found = lines(problem, base)
     screened = []
     for cause in rivals if found else []:
-        parameters = parameters_of(problem, cause)
-        if cause.effect.rings and all(item.neutral == 0.0 for item in parameters):
+        if may_ring(problem, cause):
             screened += [
-                Screened(tried, gain - len(parameters) * math.log(base.samples), np.zeros(1))
+                Screened(tried, gain - math.log(base.samples), np.zeros(1))
                 for tried, gain in _at_lines(problem, base, cause, found)
             ]
     return screened
+
+
+def may_ring(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause is the compliance, not yet tuned, of what the model holds rigid."""
+    rigid = all(item.neutral == 0.0 for item in parameters_of(problem, cause))
+    return cause.effect.rings and rigid and not cause.narrow
 
 
 def lines(problem: Problem, base: Hypothesis) -> list[Line]:
@@ -276,10 +282,11 @@ def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
     That takes the change beside itself a quarter of a cycle later.
     """
     change = whole_change(problem, base, (*base.causes, cause))
-    both = {
-        block: np.column_stack([matrix, hilbert(matrix[:, 0]).imag])
-        for block, matrix in change.items()
-    }
+    both = {}
+    for block, matrix in change.items():
+        channels = by_channel(matrix[:, 0], base.residuals[block])
+        later = np.concatenate([hilbert(channel).imag for channel in channels])
+        both[block] = np.column_stack([matrix, later])
     found = fit_jointly(problem, base.residuals, both)
     return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
 

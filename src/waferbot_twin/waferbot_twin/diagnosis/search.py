@@ -34,7 +34,7 @@ from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature
 from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.resonances import screen_lines, tuned
+from waferbot_twin.diagnosis.resonances import may_ring, screen_lines, tuned
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import (
     Progress,
@@ -354,7 +354,7 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     if item.cause.effect.threshold:
         return between_rungs(problem, base, item.cause)
     (start,) = moved((item.cause,), names_of(problem, (item.cause,)), item.value)
-    if start.effect.rings and not start.narrow and not far(base):
+    if may_ring(problem, start) and not far(base):
         return tuned(problem, base, start)
     return start
 

@@ -24,12 +24,13 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 
 MOST_TONES = 3
+"""How many frequencies are tried: each costs a simulation for every parameter and log."""
 
 FINER = 4
 """Frequencies of a periodogram for each independent one, at least."""
 
 CHANCE = 0.01
-"""Probability that white noise alone has a tone."""
+"""Probability at most that white noise alone has a tone: the sum of those of all frequencies."""
 
 
 def at_tones(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Cause]:
@@ -72,7 +73,7 @@ def tones(problem: Problem, base: Hypothesis) -> list[float]:
             continue
         powers = [np.abs(np.fft.rfft(one, points)) ** 2 / len(one) for one in own]
         power = np.sum(powers, axis=0)
-        chance = gamma(len(own)).sf(power) * longest / 2.0 * len(set(channels))
+        chance = gamma(len(own)).sf(power) * len(frequency_hz) * len(set(channels))
         peaks = 1 + np.flatnonzero(
             (power[1:-1] >= np.maximum(power[:-2], power[2:])) & (chance[1:-1] < CHANCE)
         )

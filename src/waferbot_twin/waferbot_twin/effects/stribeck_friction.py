@@ -29,11 +29,13 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     rated = places.rated_force(variant, axis)
     speed = 0.02 * places.rated_speed(variant, axis)
     unit = places.force_unit(variant, axis)
+    # Far above what an axis reaches, Stribeck's speed makes this Coulomb friction by another name.
+    fastest = 8.0 * speed
     speed_unit = f'{places.length_unit(variant, axis)}/s'
     return (
         Parameter('breakaway', unit, 0.0, 0.1 * rated, 0.0, 10.0 * rated, 'more at rest'),
         Parameter(
-            'speed', speed_unit, speed, speed, 0.02 * speed, 8.0 * speed,
+            'speed', speed_unit, speed, speed, 0.02 * speed, fastest,
             "Stribeck's speed: a third is left there", shape=True,
         ),
     )  # fmt: skip
