@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.confirmation import Fitted
-from waferbot_twin.diagnosis.fitting import moved
+from waferbot_twin.diagnosis.fitting import _widths, moved
 from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.search import Search, _take_best
 from waferbot_twin.effects import find
@@ -40,6 +40,24 @@ def test_a_cause_with_more_parameters_is_taken_if_the_other_logs_pay_for_them(co
     ]
     assert _take_best(None, None, state, fitted)
     assert state.found.causes[0].name == taken
+
+
+@pytest.mark.parametrize(
+    ('name', 'shape'),
+    [
+        ('stribeck_friction', 'speed'),
+        ('cold_ferrofluid', 'time_constant'),
+        ('presliding', 'distance'),
+        ('position_dependent_friction', 'cosine'),
+        ('position_dependent_friction', 'sine'),
+    ],
+)
+def test_a_fit_can_move_a_shape_from_where_it_is_typical(name, shape):
+    nominal = Variant.of(load_model('rigid'))
+    cause = Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+    (item,) = (item for item in cause.effect.parameters(nominal, 'x_rotate') if item.name == shape)
+    (width,) = _widths([cause], [(0, item)])
+    assert width > 0.05 * (cause.values[shape] or item.high)
 
 
 def test_settings_that_are_whole_numbers_stay_so():

@@ -23,11 +23,11 @@ from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import (
-    NARROW,
     Hypothesis,
     evaluate,
     parameters_of,
     signature,
+    width_of,
 )
 from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side, whitened_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
@@ -203,10 +203,10 @@ def _widths(causes: Sequence[Cause], names: Names) -> Array:
 
 
 def _width(cause: Cause, item: Parameter) -> float:
-    value = cause.values[item.name]
+    width = width_of(cause, item)
     if item.name in cause.narrow:
-        return NARROW * abs(value)
-    return max(abs(item.typical - item.neutral), abs(value - item.neutral), 1e-12)
+        return width
+    return max(width, abs(cause.values[item.name] - item.neutral))
 
 
 def linearise(

@@ -118,11 +118,20 @@ def whole_change(
     }
 
 
+def width_of(cause: Cause, item: Parameter) -> float:
+    """
+    Return how far it is usual to move a parameter: from neutral to typical.
+
+    Where these are the same (of most shapes), its typical value; where that is nothing, a tenth of what
+    is possible. A narrow one moves by a share of its value.
+    """
+    if item.name in cause.narrow:
+        return NARROW * abs(cause.values[item.name])
+    return abs(item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low))
+
+
 def _probe(cause: Cause, item: Parameter) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
     value = cause.values[item.name]
-    width = item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low)
-    if item.name in cause.narrow:
-        width = NARROW * value
-    step = max(PROBE * abs(width), item.resolution)
+    step = max(PROBE * width_of(cause, item), item.resolution)
     return step if item.low <= value + step <= item.high else -step
