@@ -12,9 +12,9 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.closed_loop_record import simulate
-from waferbot_twin.diagnosis.diagnose import _coarse_readings
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
+from waferbot_twin.diagnosis.offered import coarse_readings
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.rungs import between_rungs, rungs
@@ -103,11 +103,11 @@ def test_steps_of_readings_are_seen_and_small_ranges_are_not(nominal):
     reading[:, 1] *= 6.0
     reading[:, 2] = 4.0 * (reading[:, 2] > 0.0)  # two values say nothing about what lies between
     problem = SimpleNamespace(nominal=nominal, records=[SimpleNamespace(reading=reading)])
-    (effect,) = _coarse_readings(problem)
+    (effect,) = coarse_readings(problem)
     assert effect.axes(nominal) == ('x_rotate',)
     assert effect.trials(nominal, 'x_rotate') == ({'step': 6.0},)
     reading[0, 1] += 1.0
-    assert not _coarse_readings(problem)
+    assert not coarse_readings(problem)
 
 
 def test_what_construction_fixes_is_held_and_costs_no_parameter(nominal):

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.diagnose import _worse
 from waferbot_twin.diagnosis.gain import AxisGain
+from waferbot_twin.diagnosis.withdrawal import loses
 
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
 SAMPLES = 2000
@@ -31,21 +31,21 @@ def gain(axis, before, after):
 )
 def test_an_extension_is_withdrawn_if_it_plainly_loses(ratios, worse):
     gains = [gain(axis, BEFORE, ratio * BEFORE) for axis, ratio in zip(AXES, ratios, strict=False)]
-    assert _worse(gains) is worse
+    assert loses(gains) is worse
 
 
 def test_what_is_lost_in_one_stretch_alone_may_be_chance():
     after = BEFORE.copy()
     after[300:400] *= 1.5  # 3 % more in RMS, by one stretch of twenty
     assert np.std(after) / np.std(BEFORE) > 1.02
-    assert not _worse([gain('x_rotate', BEFORE, after)])
+    assert not loses([gain('x_rotate', BEFORE, after)])
 
 
 def test_what_is_lost_in_one_stretch_alone_counts_if_it_is_much():
     after = BEFORE.copy()
     after[300:400] *= 4.0
     assert np.std(after) / np.std(BEFORE) > 1.3
-    assert _worse([gain('x_rotate', BEFORE, after)])
+    assert loses([gain('x_rotate', BEFORE, after)])
 
 
 def test_noise_of_the_machine_makes_no_true_model_lose():
@@ -57,5 +57,5 @@ def test_noise_of_the_machine_makes_no_true_model_lose():
         white = random.normal(size=SAMPLES + 39)
         noise = np.convolve(white, np.ones(40) / 40.0, 'valid')
         moved = 0.05 * np.roll(noise, int(random.integers(SAMPLES)))
-        lost += _worse([gain('x_rotate', noise, noise + moved)])
+        lost += loses([gain('x_rotate', noise, noise + moved)])
     assert lost <= 5

@@ -17,8 +17,7 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import Problem
-from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Problem
 
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
@@ -31,6 +30,17 @@ CONFIRMS, SHARE = 8.0, 0.1
 Gain in 2 ln L that a cause must have in logs kept for judging, where nothing is fitted: at least the
 first, and this share of what it should have.
 """
+
+
+CAUSED, PLAINLY = 0.6, 4.0
+"""
+A cause gains too little by what the command makes it do if it gains less than this share of what it
+should, and that by more than so many standard deviations.
+"""
+
+
+CURRENTS = (WINDINGS, CURRENT_LOOP)
+"""The blocks whose output is measured currents, with the noise of sensors that a loop follows."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,8 @@ def is_confirmed(
     except UserError:
         return False
     confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
+    if _too_little(in_finding, in_judging):
+        return False
     if in_judging.expected < TELLS:
         # That motion does not show the effect: what was found must be beyond doubt by itself, and
         # what little it should do there must not speak against it.
@@ -83,6 +95,20 @@ def is_confirmed(
         and in_judging.gain >= CONFIRMS
         and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
     )
+
+
+def _too_little(*logs: ByCommand) -> bool:
+    """
+    Return whether a cause gains plainly less than it should in what measures currents.
+
+    The root of the gain of a true one is normally distributed about that of what it should be, with a
+    standard deviation of one. The gain of a sensor that a fit took from noise in the current loop is
+    much larger than what the command shows of it. In the plant friction is far from linear, and a
+    tangent says little of what it should gain.
+    """
+    gain = max(sum(item.gain_in_currents for item in logs), 0.0)
+    expected = max(sum(item.expected_in_currents for item in logs), 0.0)
+    return gain < CAUSED * expected and math.sqrt(expected) - math.sqrt(gain) > PLAINLY
 
 
 def _least(expected: float) -> float:
@@ -97,10 +123,16 @@ def _least(expected: float) -> float:
 
 @dataclass(frozen=True)
 class ByCommand:
-    """What a cause gains in 2 ln L by what the command makes it do, and what it should gain."""
+    """
+    What a cause gains in 2 ln L by what the command makes it do, and what it should gain.
+
+    Of it the part in blocks whose output is measured currents.
+    """
 
     gain: float
     expected: float
+    gain_in_currents: float = 0.0
+    expected_in_currents: float = 0.0
 
 
 def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> ByCommand:
@@ -146,11 +178,16 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
         noise[block] = [left + part for left, part in zip(channels, fitted, strict=True)]
         caused = by_channel(matrix @ change, channels)
         with_cause[block] = [left - part for left, part in zip(noise[block], caused, strict=True)]
-    quiet = _log_likelihood(problem, noise)
-    before = sum(base.fits[block].log_likelihood for block in shown)
-    expected = 2.0 * (quiet - _log_likelihood(problem, with_cause))
-    return ByCommand(2.0 * (quiet - before) + sure, expected + sure)
+    quiet, caused = problem.judge(noise), problem.judge(with_cause)
 
+    def gains(blocks: list[str]) -> tuple[float, float]:
+        there, before, with_it = (
+            sum((fits[block].log_likelihood for block in blocks), 0.0)
+            for fits in (quiet, base.fits, caused)
+        )
+        return 2.0 * (there - before), 2.0 * (there - with_it)
 
-def _log_likelihood(problem: Problem, residuals: dict[str, list[Array]]) -> float:
-    return sum(item.log_likelihood for item in problem.judge(residuals).values())
+    gain, should = gains(list(shown))
+    return ByCommand(
+        gain + sure, should + sure, *gains([block for block in shown if block in CURRENTS])
+    )

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
@@ -26,13 +25,13 @@ from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.likeness import likeness
-from waferbot_twin.diagnosis.plant_block import PlantBlock
-from waferbot_twin.diagnosis.position_spectrum import orders_of
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.offered import offered_effects
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
-from waferbot_twin.effects import coarse_quantisation, cogging, library, sensors
+from waferbot_twin.diagnosis.together import far
+from waferbot_twin.diagnosis.withdrawal import that_wins
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
@@ -43,15 +42,6 @@ from waferbot_twin.recording.reader import recording_files, recording_of
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
 
-LOSES = 0.02
-"""Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""
-
-MUCH = 0.5
-"""The same rise from which on it does not matter in how few stretches: 22 % in RMS."""
-
-STRETCHES, PLAINLY = 20, 3.0
-"""Into how many stretches a log is divided, and how many standard errors are plain."""
-
 UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
 
@@ -60,9 +50,6 @@ DOUBTFUL = 0.5
 
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""
-
-LEAST_READINGS = 20
-"""Different readings that an encoder must have shown for their common step to be its resolution."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +137,9 @@ def diagnose(
     """
     Diagnose logs against a model.
 
-    Where nothing is found, the logs change roles: an effect may show in a few motions only. Either way
-    nothing is fitted to the logs that judge, and the gain is measured on those.
+    What is not found in the logs for finding may show in the others: these change roles, and if more is
+    found so, all is fitted to them. Either way nothing is fitted to the logs that judge, and the gain
+    is measured on those.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -167,30 +155,23 @@ def diagnose(
     nominal = sized_by(finding, nominal)
     roomy = host(nominal)
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
-    effects = _effects(problem, without)
+    effects = offered_effects(problem, without)
     found = search(problem, judge, effects, progress, workers)
-    if not found.found.causes:
-        other = search(judge, problem, effects, progress, workers)
-        if other.found.causes:
+    if not far(found.found):
+        other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
+        if len(other.found.causes) > len(found.found.causes):
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
     withdrawn: list[Cause] = []
-    try:
-        axis_gains = gains(nominal, apply_all(nominal, found.found.causes), list(judging))
-        wins = not _worse(axis_gains)
-    except UserError as error:
-        if not found.found.causes:
-            raise
-        wins = False
-        notes.append(f'the extended model does not run in closed loop ({error})')
-    if found.found.causes and not wins:
+    winning = that_wins(nominal, problem, found, judge, judging, notes)
+    if winning is None:
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
-        axis_gains = gains(nominal, nominal, list(judging))
+    else:
+        found = winning
     rest = left_over(problem, judge, found, progress, workers)
     extended = apply_all(nominal, (*found.found.causes, *rest.tables))
-    if rest.tables:
-        axis_gains = gains(nominal, extended, list(judging))
+    axis_gains = gains(nominal, extended, list(judging))
     notes += rest.notes
     where = _where(problem, found)
     causes = _found_causes(problem, found, rest)
@@ -212,40 +193,19 @@ def diagnose(
     )
 
 
-def _effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
-    """Return the effects to look for: the library's, with the sizes that the logs show themselves."""
-    effects = {name: [effect] for name, effect in library().items()}
-    effects[cogging.NAME] += _cogging_of_imported_logs(problem)
-    effects[coarse_quantisation.NAME] = _coarse_readings(problem)
-    return [item for name, found in effects.items() if name not in without for item in found]
-
-
-def _coarse_readings(problem: Problem) -> list[Effect]:
-    """Return coarse quantisation with the steps that the readings of all logs have in common."""
-    steps = {}
-    for axis in sensors.measured_axes(problem.nominal):
-        encoder = sensors.of_axis(problem.nominal, axis)
-        readings = np.concatenate(
-            [record.reading[:, ENCODERS.index(encoder.place)] for record in problem.records]
-        )
-        known = np.unique(readings[np.isfinite(readings)])
-        if len(known) < LEAST_READINGS or np.any(known % 1.0 != 0.0):
-            continue
-        step = float(np.gcd.reduce(np.diff(known).astype(np.int64)))
-        if step > encoder.errors.coarseness:
-            steps[axis] = step
-    return [coarse_quantisation.with_steps(steps)] if steps else []
-
-
-def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
-    """
-    Return cogging with the orders that imported logs show; of a motor that nobody knows so far.
-
-    The twin's own machine has the orders that the library tries.
-    """
-    plants = [block for block in problem.blocks[PLANT] if isinstance(block, PlantBlock)]
-    imported = [block for block in plants if block.record.current is not None]
-    return [cogging.with_orders(orders_of(problem.nominal, imported))] if imported else []
+def _search_in_other_roles(
+    problem: Problem,
+    judge: Problem,
+    found: Search,
+    effects: Sequence[Effect],
+    progress: Progress,
+    workers: int,
+) -> Search:
+    """Return what the logs for judging show beside the causes found, if these hold the machine there."""
+    try:
+        return search(judge, problem, effects, progress, workers, found)
+    except UserError:
+        return found
 
 
 def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
@@ -266,35 +226,6 @@ def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
     if causes:
         return 'partly' if left_over else 'explained'
     return 'unexplained' if left_over else 'consistent'
-
-
-def _worse(axis_gains: Sequence[AxisGain]) -> bool:
-    """
-    Return whether the extension plainly loses more on some axes than it wins on others.
-
-    The change of the square error, relative to that before and summed over the axes, is taken for each
-    of some stretches of a log. It loses if their mean is above `LOSES` and so many standard errors
-    above zero, or if it is `MUCH`: the machine's noise in one run makes even the true model lose a
-    little somewhere. Many
-    causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
-    """
-    by_log: dict[str, list[Array]] = {}
-    for item in axis_gains:
-        if item.rms_before > 0.0 and len(item.error_before) >= STRETCHES:
-            by_log.setdefault(item.log, []).append(_change_of_square_error(item))
-    if not by_log:
-        return False
-    changes = np.concatenate([np.sum(of_axes, axis=0) for of_axes in by_log.values()])
-    mean = float(np.mean(changes))
-    standard_error = float(np.std(changes, ddof=1)) / math.sqrt(len(changes))
-    return mean > min(max(LOSES, PLAINLY * standard_error), MUCH)
-
-
-def _change_of_square_error(item: AxisGain) -> Array:
-    """Return it for each stretch of a log, in mean square errors of the whole log before."""
-    difference = item.error_after**2 - item.error_before**2
-    means = [float(np.mean(part)) for part in np.array_split(difference, STRETCHES)]
-    return np.array(means) / item.rms_before**2
 
 
 def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[FoundCause]:
@@ -336,10 +267,16 @@ def _alike(
     Give the most plausible rivals of a cause that the logs cannot tell from it.
 
     Every effect that contains the cause as a special case explains the logs as well (of a friction there
-    are six); more than the simplest few help nobody to decide what to do.
+    are six); more than a few help nobody to decide what to do. They are those that are best by Akaike's
+    criterion: Schwarz' would always put one with more parameters behind, and of those that were chosen
+    because they are simple one with more parameters is often the truth.
     """
     alike = [item for item in rivals if item.less_likely < TELLS_APART]
-    for item in sorted(alike, key=lambda item: item.behind)[:MOST_ALIKE]:
+
+    def unlikely(item: Rival) -> float:
+        return item.less_likely + 2.0 * item.cause.free
+
+    for item in sorted(alike, key=unlikely)[:MOST_ALIKE]:
         try:
             correlation = likeness(problem, found.found, cause, item.cause)
         except UserError:

@@ -10,12 +10,12 @@ has
 
     f = f_typical sqrt(c_typical / c).
 
-So each compliance is tried where one of its modes is on a line, also on one that is folded at half the
-rate of the samples (the encoders are faster); first by the modes of the machine, then corrected by the
-line that the simulation itself shows, which its steps in time make lower. Where that changes about as
-much as the line has, values close by are tried, each in whatever phase suits best: so the ring has to
-be coherent for as long as it lasts only, not the same to a part of a cycle. From the best one a fit
-finds the rest.
+So each compliance is tried where one of its modes is on a line, also on one that is folded about
+multiples of half the rate of the samples (the mechanism is faster); first by the modes of the machine,
+which the steps of the simulation in time make lower, then corrected by the line that it shows. Where
+that changes about as much as the line has, values close by are tried, each in whatever phase suits
+best: so the ring has to be coherent for as long as it lasts only, not the same to a part of a cycle.
+From the best one a fit finds the rest.
 """
 
 from __future__ import annotations
@@ -64,7 +64,10 @@ of it is shaken by more than the right one is.
 """
 
 NEAR = 0.06
-"""Share of a frequency that the steps of the simulation, and the observer, may move a line."""
+"""Share of a frequency that the observer, and what other parts give, may move a line."""
+
+FOLDS = 2
+"""Up to which multiple of the rate of the samples a ring may lie."""
 
 CORRECTIONS = 2
 """How often a value is corrected by the line that it makes."""
@@ -72,11 +75,18 @@ CORRECTIONS = 2
 CLOSE = (
     (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
     (-0.003, -0.002, -0.001, 0.0, 0.001, 0.002, 0.003),
+    (-0.0009, -0.0006, -0.0003, 0.0, 0.0003, 0.0006, 0.0009),
 )
-"""How far about a value others are tried, as a share of it; then closer about the best of these."""
+"""How far about a value others are tried, as a share of it; then ever closer about the best of these."""
 
-TUNING = tuple(np.geomspace(0.3, 4.0, 65))
-"""Times a value that others are tried, 4 % apart."""
+TUNING = tuple(np.geomspace(0.04, 20.0, 64))
+"""Times the typical value at which a compliance is tried, 10 % apart."""
+
+COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
+"""As `CLOSE`, about the best of these."""
+
+ENOUGH = 1.0
+"""Gain in 2 ln L below which values still closer are not worth trying."""
 
 PLAINLY = 10.0
 """Gain in 2 ln L from which on another value is plainly better."""
@@ -187,14 +197,34 @@ def _at_lines(
     """Give a compliance with each value that may have made a line, and its gain in 2 ln L there."""
     (parameter,) = parameters_of(problem, cause)
     typical = cause.with_values({parameter.name: parameter.typical})
+    step_s = problem.records[0].timing.tick_s
     for mode_hz, line in itertools.product(_own_modes(problem, base, typical), found):
-        for frequency_hz in (line.frequency_hz, line.rate_hz - line.frequency_hz):
-            value = parameter.typical * (mode_hz / frequency_hz) ** 2
+        for frequency_hz, sign in _folded(line, 0.5 / step_s):
+            value = parameter.typical * (mode_hz / _in_continuous_time(frequency_hz, step_s)) ** 2
             if parameter.low < value < parameter.high:
                 start = replace(
                     cause.with_values({parameter.name: value}), narrow=(parameter.name,)
                 )
-                yield from _near(problem, base, start, line, frequency_hz)
+                yield from _near(problem, base, start, line, frequency_hz, sign)
+
+
+def _folded(line: Line, highest_hz: float) -> list[tuple[float, float]]:
+    """Return the frequencies, Hz, that samples show as a line, and whether that rises (1) with them."""
+    beside = [
+        (fold * line.rate_hz + sign * line.frequency_hz, sign)
+        for fold in range(1, FOLDS + 1)
+        for sign in (-1.0, 1.0)
+    ]
+    return [(line.frequency_hz, 1.0), *(item for item in beside if item[0] < highest_hz)]
+
+
+def _in_continuous_time(frequency_hz: float, step_s: float) -> float:
+    """
+    Return the frequency of a mode that rings at another one in steps of the implicit midpoint rule, Hz.
+
+    tan(omega' h / 2) = omega h / 2, with omega' in steps of h and omega without.
+    """
+    return math.tan(math.pi * frequency_hz * step_s) / (math.pi * step_s)
 
 
 def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[float]:
@@ -217,21 +247,27 @@ def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[float]:
 
 
 def _near(
-    problem: Problem, base: Hypothesis, start: Cause, line: Line, frequency_hz: float
+    problem: Problem,
+    base: Hypothesis,
+    start: Cause,
+    line: Line,
+    frequency_hz: float,
+    sign: float,
 ) -> Iterator[tuple[Cause, float]]:
     """Give the best value near a beginning, if the compliance changes about as much as a line has."""
     (name,) = (item.name for item in parameters_of(problem, start))
-    measured_hz, measured = _line_at(problem, base.residuals[PLANT], line)
-    folded = -1.0 if frequency_hz > line.frequency_hz else 1.0
+    measured_hz, measured = _line_at(
+        problem, base.residuals[PLANT], line, NEAR * line.frequency_hz
+    )
     best = start
     try:
         for _ in range(CORRECTIONS):
             change = whole_change(problem, base, (*base.causes, best))[PLANT]
             channels = by_channel(change[:, 0], base.residuals[PLANT])
-            shown_hz, shown = _line_at(problem, channels, line)
+            shown_hz, shown = _line_at(problem, channels, line, NEAR * frequency_hz)
             if not measured / ALIKE < shown < measured * ALIKE:
                 return
-            too_high_hz = folded * (shown_hz - measured_hz)
+            too_high_hz = sign * (shown_hz - measured_hz)
             factor = (1.0 + too_high_hz / frequency_hz) ** 2
             best = best.with_values({name: best.values[name] * factor})
         yield _closer(problem, base, best)
@@ -243,7 +279,10 @@ def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, fl
     """Return the best of the values close to that of a compliance, and its gain in 2 ln L."""
     gain = -math.inf
     for close in CLOSE:
+        before = gain
         cause, gain = _best(problem, base, cause, [1.0 + share for share in close])
+        if gain < before + ENOUGH:
+            break
     return cause, gain
 
 
@@ -263,13 +302,15 @@ def _best(
 
 def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     """
-    Return a compliance where it rings as the logs do, within some times its present value.
+    Return a compliance where it rings as the logs do, of any size.
 
     Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
     told. The cause as it is where no other value explains the logs plainly better. Raises `UserError`.
     """
-    (name,) = (item.name for item in parameters_of(problem, cause))
-    best, gain = _best(problem, base, replace(cause, narrow=(name,)), TUNING)
+    (item,) = parameters_of(problem, cause)
+    typical = replace(cause.with_values({item.name: item.typical}), narrow=(item.name,))
+    best, _ = _best(problem, base, typical, TUNING)
+    best, gain = _best(problem, base, best, [1.0 + share for share in COARSELY])
     if gain < _in_any_phase(problem, base, cause) + PLAINLY:
         return cause
     return _closer(problem, base, best)[0]
@@ -291,11 +332,13 @@ def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
     return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
 
 
-def _line_at(problem: Problem, channels: Sequence[Array], line: Line) -> tuple[float, float]:
+def _line_at(
+    problem: Problem, channels: Sequence[Array], line: Line, within_hz: float
+) -> tuple[float, float]:
     """Return the frequency of the strongest line near another, Hz, and its RMS value, counts."""
     spectrum = _spectrum(problem, channels, line.channel)
     assert spectrum is not None  # it has a line
-    near = np.flatnonzero(np.abs(spectrum.frequency_hz / line.frequency_hz - 1.0) < NEAR)
+    near = np.flatnonzero(np.abs(spectrum.frequency_hz - line.frequency_hz) < within_hz)
     strongest = int(near[np.argmax(spectrum.power[near])])
     about = slice(max(strongest - 2, 0), strongest + 3)
     power, frequency_hz = spectrum.power[about], spectrum.frequency_hz[about]

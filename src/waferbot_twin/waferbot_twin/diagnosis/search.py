@@ -82,6 +82,9 @@ factors, Journal of the American Statistical Association 90 (1995).
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""
 
+REVISIONS, MOST_REVISED = 8, 4
+"""How many causes are chosen again beside the others, and of how many."""
+
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""
 
@@ -125,12 +128,22 @@ def search(
     effects: Iterable[Effect],
     progress: Progress,
     workers: int = 1,
+    known_causes: Search | None = None,
 ) -> Search:
-    """Find the causes in the logs of `finding` that also explain those of `judging`."""
+    """
+    Find the causes in the logs of `finding` that also explain those of `judging`.
+
+    Beside those that another search has found, if there is one: they are fitted anew to these logs.
+    """
     effects = list(effects)
     every = candidates(finding, effects)
     nothing, judged_nothing = evaluate(finding), evaluate(judging)
     state = Search(nothing, judged_nothing, nothing, judged_nothing)
+    if known_causes:
+        state.found = fit_causes(finding, known_causes.found.causes, workers=workers)
+        state.judged = evaluate(judging, state.found.causes)
+        state.gains, state.rivals = dict(known_causes.gains), dict(known_causes.rivals)
+    at_first = len(state.found.causes)
     known = signatures(finding, nothing, every, workers, progress)
     together = False
     for _ in range(MOST_ROUNDS):
@@ -147,7 +160,10 @@ def search(
                 return state
         if not (taken or fresh):
             break
+    if known_causes and len(state.found.causes) == at_first:
+        return state
     _confirm(finding, judging, state, progress, workers)
+    _revise(finding, judging, state, every, known, workers, progress)
     return state
 
 
@@ -198,6 +214,87 @@ def _confirm(
     _take(state, take_out(finding, judging, state.found, state.tried, progress, workers))
 
 
+def _revise(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    every: Sequence[Cause],
+    known: Sequence[Signature | None],
+    workers: int,
+    progress: Progress,
+) -> None:
+    """
+    Ask again of each cause whether another explains the logs better, now that the others are known.
+
+    The first cause was chosen while it had to stand in for all that lacked.
+    """
+    settled: set[tuple[str, frozenset[str]]] = set()
+    for _ in range(REVISIONS):
+        causes = state.found.causes
+        if not 2 <= len(causes) <= MOST_REVISED:
+            return
+        open_ones = [
+            cause
+            for cause in causes
+            if (cause.name, _names_beside(causes, cause)) not in settled
+            and _acts_beside_others(finding, cause, causes)
+        ]
+        if not open_ones:
+            return
+        beside = _names_beside(causes, open_ones[0])
+        _choose_again(finding, judging, state, open_ones[0], every, known, workers, progress)
+        settled |= {
+            (cause.name, beside) for cause in state.found.causes if cause.name not in beside
+        }
+
+
+def _names_beside(causes: Sequence[Cause], cause: Cause) -> frozenset[str]:
+    return frozenset(other.name for other in causes) - {cause.name}
+
+
+def _acts_beside_others(problem: Problem, cause: Cause, causes: Sequence[Cause]) -> bool:
+    """Return whether other causes act on a block that a cause acts on."""
+    own = set(problem.touched(cause.effect, cause.axis))
+    return any(
+        own.intersection(problem.touched(other.effect, other.axis))
+        for other in causes
+        if other.name != cause.name
+    )
+
+
+def _choose_again(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    cause: Cause,
+    every: Sequence[Cause],
+    known: Sequence[Signature | None],
+    workers: int,
+    progress: Progress,
+) -> None:
+    """Put the best of what else could stand there in the place of a cause, if it is better."""
+    others = tuple(other for other in state.found.causes if other.name != cause.name)
+    try:
+        found = fit_causes(finding, others)
+        fewer = replace(state, found=found, judged=evaluate(judging, found.causes))
+        present = fit_causes(finding, (*found.causes, cause))
+        as_it_is = Fitted(present, evaluate(judging, present.causes), confirmed=True)
+    except UserError:  # the machine does not stand without it
+        return
+    screened = [
+        item
+        for item in _screen_round(finding, found, every, known, workers, progress)
+        if item.cause.name != cause.name
+    ]
+    gained = 2.0 * (present.log_likelihood - found.log_likelihood)
+    fitted = [as_it_is, *_fit_best(finding, judging, fewer, screened, progress, gained)]
+    _take_best(finding, judging, fewer, fitted)
+    state.found, state.judged = fewer.found, fewer.judged
+    names = {item.name for item in state.found.causes}
+    state.gains = {name: gain for name, gain in fewer.gains.items() if name in names}
+    state.rivals = {name: rivals for name, rivals in fewer.rivals.items() if name in names}
+
+
 def _screen_round(
     problem: Problem,
     base: Hypothesis,
@@ -243,30 +340,65 @@ def _fit_best(
     state: Search,
     screened: Sequence[Screened],
     progress: Progress,
+    gained: float = 0.0,
 ) -> list[Fitted]:
     """
-    Fit the best screened effects beside the causes of `state`.
+    Fit the best screened effects beside the causes of `state`, then what promised as much as the best.
 
-    Those that promise much less than another has already gained are not, if the other is confirmed.
+    Those that promise much less than another has already `gained` are not, if the other is confirmed.
     """
     chosen = _most_promising(finding, screened)
     fitted: list[Fitted] = []
-    gained = 0.0
     for number, item in enumerate(chosen):
         progress(f'fitting {item.cause.name}', number, len(chosen))
         if item.score < HOPELESS * gained:
             break
-        try:
-            start = _start(finding, state.found, item)
-            found = fit_causes(finding, (*state.found.causes, start))
-            one = Fitted(found, evaluate(judging, found.causes))
-        except UserError:
+        one = _fit_one(finding, judging, state, item)
+        if one is None:
             continue
-        one = replace(one, confirmed=_confirmed(finding, judging, state, one))
         fitted.append(one)
         if one.confirmed:
-            gained = max(gained, 2.0 * (found.log_likelihood - state.found.log_likelihood))
+            gained = max(gained, 2.0 * (one.found.log_likelihood - state.found.log_likelihood))
+    for item in _as_promising(finding, state, screened, fitted):
+        progress(f'fitting {item.cause.name}', len(chosen), len(chosen))
+        one = _fit_one(finding, judging, state, item)
+        fitted += [one] if one else []
     return fitted
+
+
+def _fit_one(finding: Problem, judging: Problem, state: Search, item: Screened) -> Fitted | None:
+    """Return a screened effect fitted beside the causes of `state`; None if the machine blows up."""
+    try:
+        start = _start(finding, state.found, item)
+        found = fit_causes(finding, (*state.found.causes, start))
+        one = Fitted(found, evaluate(judging, found.causes))
+    except UserError:
+        return None
+    return replace(one, confirmed=_confirmed(finding, judging, state, one))
+
+
+def _as_promising(
+    problem: Problem, state: Search, screened: Sequence[Screened], fitted: Sequence[Fitted]
+) -> list[Screened]:
+    """Return what is not fitted yet, but promised about as much as the best that is confirmed."""
+    confirmed = [item for item in fitted if item.confirmed]
+    if not confirmed:
+        return []
+    best = min(confirmed, key=lambda item: item.information_criterion).found.causes[-1]
+    block = set(problem.touched(best.effect, best.axis))
+    promised = {
+        item.cause.name: item.score + item.cause.free * math.log(state.found.samples)
+        for item in reversed(screened)
+    }
+    done = {item.found.causes[-1].name for item in fitted}
+    found: dict[str, Screened] = {}
+    for item in screened:
+        name = item.cause.name
+        alike = promised[name] > promised.get(best.name, math.inf) - 2.0 * TELLS_APART
+        shared = block.intersection(problem.touched(item.cause.effect, item.cause.axis))
+        if alike and shared and name not in done:
+            found.setdefault(name, item)
+    return list(found.values())[:FITTED]
 
 
 def _fit_pairs(
@@ -376,19 +508,19 @@ def _take_best(
     """
     Take the best fitted hypothesis that pays for itself and is confirmed, if there is one.
 
-    The best is the one that explains the logs for finding best; of those that do so as well, or make
-    them as likely with more parameters, the one that explains all logs best. One that is not the
-    simplest of them needs strong evidence.
+    The best is the one that explains all logs best. One that is not the simplest of those that do about
+    as well needs strong evidence.
     """
     confirmed = [item for item in fitted if item.confirmed]
     if not confirmed:
         return False
-    best = min(confirmed, key=lambda item: item.found.information_criterion)
-    least = best.found.log_likelihood - 0.5 * TELLS_APART
+    best = min(confirmed, key=lambda item: item.information_criterion)
+    least = best.log_likelihood - 0.5 * TELLS_APART
     alike = [
         item
         for item in confirmed
-        if _behind(item.found, best.found) <= TELLS_APART or item.found.log_likelihood > least
+        if item.information_criterion - best.information_criterion <= TELLS_APART
+        or item.log_likelihood > least
     ]
     fewest = min(item.found.parameters for item in alike)
 

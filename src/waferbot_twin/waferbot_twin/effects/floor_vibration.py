@@ -6,7 +6,8 @@ The floor shakes at one frequency, in the direction that this axis feels most.
 
 A linear axis feels it along itself; a rotary one across itself, by the arm of what is out of
 balance. Time counts from the start of a run, so the phase is a matter of chance in each log. There
-is one floor: of several, only the last one laid over the model counts.
+is one floor: of several, only the last one laid over the model counts, and of axes that feel the same
+direction most only the first is offered.
 """
 
 from __future__ import annotations
@@ -45,14 +46,23 @@ def _direction(variant: Variant, axis: str) -> np.ndarray | None:
     return felt / length if length > LEAST_SHARE * places.moving_inertia(variant, axis) else None
 
 
+PARALLEL = 0.999
+"""Cosine of an angle from which on two directions are one."""
+
 LEAST_SHARE = 1e-3
 """Mass or first moment over mass or inertia from which an axis counts as feeling the floor, 1 or 1/m."""
 
 
 def _axes(variant: Variant) -> tuple[str, ...]:
-    return tuple(
-        axis for axis in places.jointed_axes(variant) if _direction(variant, axis) is not None
-    )
+    """Return the axes that feel the floor, one for each direction: there is but one floor."""
+    found: dict[str, np.ndarray] = {}
+    for axis in places.jointed_axes(variant):
+        direction = _direction(variant, axis)
+        if direction is not None and all(
+            abs(direction @ other) < PARALLEL for other in found.values()
+        ):
+            found[axis] = direction
+    return tuple(found)
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:

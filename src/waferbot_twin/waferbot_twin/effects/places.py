@@ -176,6 +176,11 @@ def rated_speed(variant: Variant, axis: str) -> float:
     return 0.05 * rated_force(variant, axis) / moving_inertia(variant, axis)
 
 
+def current_per_bit(variant: Variant, axis: str) -> float:
+    """Return the current that one step of the controller's output commands, A."""
+    return variant.i_variable(axis, 'amplifier_peak_current') / DAC_BITS
+
+
 def usual_currents(variant: Variant, axis: str) -> tuple[float, float]:
     """
     Return the motor currents that hold the axis and that also speed it up as programmed, A.
@@ -187,7 +192,7 @@ def usual_currents(variant: Variant, axis: str) -> tuple[float, float]:
     rated = RATED_SHARE * peak_current(variant, axis)
     if not variant.pmac.get(axis):
         return 0.0, rated
-    per_bit = variant.i_variable(axis, 'amplifier_peak_current') / DAC_BITS
+    per_bit = current_per_bit(variant, axis)
     holding = abs(variant.i_variable(axis, 'Ixx29')) * per_bit
     per_second = 1e6 / variant.i_variable(axis, 'counts_per_unit')
     acceleration = variant.i_variable(axis, 'Ixx19') * per_second

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which effects a search is offered: the library's, with what the logs themselves show of their sizes.
+
+A fit could not find these: the step of a coarse encoder, a limit that commands have reached, the
+orders of a motor's cogging explain nothing as soon as they are a little wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.diagnosis.position_spectrum import orders_of
+from waferbot_twin.diagnosis.problem import PLANT, Problem
+from waferbot_twin.effects import (
+    coarse_quantisation,
+    cogging,
+    library,
+    output_limit,
+    places,
+    sensors,
+)
+from waferbot_twin.effects.effect import Effect
+
+LEAST_READINGS = 20
+"""Different readings that an encoder must have shown for their common step to be its resolution."""
+
+
+def offered_effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
+    """Return the effects to look for: the library's, with the sizes that the logs show themselves."""
+    effects = {name: [effect] for name, effect in library().items()}
+    effects[cogging.NAME] += _cogging_of_imported_logs(problem)
+    effects[coarse_quantisation.NAME] = coarse_readings(problem)
+    effects[output_limit.NAME] += limited_commands(problem)
+    return [item for name, found in effects.items() if name not in without for item in found]
+
+
+def coarse_readings(problem: Problem) -> list[Effect]:
+    """Return coarse quantisation with the steps that the readings of all logs have in common."""
+    steps = {}
+    for axis in sensors.measured_axes(problem.nominal):
+        encoder = sensors.of_axis(problem.nominal, axis)
+        readings = np.concatenate(
+            [record.reading[:, ENCODERS.index(encoder.place)] for record in problem.records]
+        )
+        known = np.unique(readings[np.isfinite(readings)])
+        if len(known) < LEAST_READINGS or np.any(known % 1.0 != 0.0):
+            continue
+        step = float(np.gcd.reduce(np.diff(known).astype(np.int64)))
+        if step > encoder.errors.coarseness:
+            steps[axis] = step
+    return [coarse_quantisation.with_steps(steps)] if steps else []
+
+
+def limited_commands(problem: Problem) -> list[Effect]:
+    """Return the output limit, each axis tried with the largest command that was given there."""
+    limits = {}
+    for axis in output_limit.EFFECT.axes(problem.nominal):
+        own = [
+            record.command[:, AXES.index(axis)]
+            for record in problem.records
+            if record.command is not None
+        ]
+        per_bit = places.current_per_bit(problem.nominal, axis)
+        bits = np.round(np.abs(np.concatenate(own or [np.zeros(1)])) / per_bit)
+        largest = float(np.max(bits, initial=0.0, where=np.isfinite(bits)))
+        (limit,) = output_limit.EFFECT.parameters(problem.nominal, axis)
+        if limit.low <= largest < limit.neutral:
+            limits[axis] = largest
+    return [output_limit.with_limits(limits)] if limits else []
+
+
+def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
+    """
+    Return cogging with the orders that imported logs show; of a motor that nobody knows so far.
+
+    The twin's own machine has the orders that the library tries.
+    """
+    plants = [block for block in problem.blocks[PLANT] if isinstance(block, PlantBlock)]
+    imported = [block for block in plants if block.record.current is not None]
+    return [cogging.with_orders(orders_of(problem.nominal, imported))] if imported else []

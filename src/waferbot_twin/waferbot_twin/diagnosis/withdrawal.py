@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Does an extension win on logs that were not used for the fit? If not, it is withdrawn.
+
+First its rivals are asked: of causes that the logs cannot tell apart in their blocks, one may win in
+closed loop where another does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.gain import AxisGain, gains
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import Problem, apply_all
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search
+from waferbot_twin.effects.variant import Variant
+
+LOSES = 0.02
+"""Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""
+
+MUCH = 0.5
+"""The same rise from which on it does not matter in how few stretches: 22 % in RMS."""
+
+STRETCHES, PLAINLY = 20, 3.0
+"""Into how many stretches a log is divided, and how many standard errors are plain."""
+
+
+def that_wins(
+    nominal: Variant,
+    problem: Problem,
+    found: Search,
+    judge: Problem,
+    judging: Sequence[Record],
+    notes: list[str],
+) -> Search | None:
+    """
+    Return the search with causes that win on the logs for judging, or None if none do.
+
+    Those found, or with a rival that the logs cannot tell in place of one of them. What does not even
+    run is said in `notes`. Raises `UserError` if the nominal model does not run.
+    """
+    for candidate in (found, *_with_rivals(problem, judge, found)):
+        causes = candidate.found.causes
+        try:
+            extension = gains(nominal, apply_all(nominal, causes), list(judging))
+        except UserError as error:
+            if not causes:
+                raise
+            notes.append(f'the extended model does not run in closed loop ({error})')
+            continue
+        if not loses(extension):
+            return candidate
+    return None
+
+
+def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Search]:
+    """Give the search with each rival that the logs cannot tell in place of its cause."""
+    for place, cause in enumerate(found.found.causes):
+        rivals = found.rivals.get(cause.name, [])
+        for rival in sorted(rivals, key=lambda item: item.less_likely):
+            if rival.less_likely > TELLS_APART:
+                continue
+            causes = list(found.found.causes)
+            causes[place] = rival.cause
+            try:
+                fitted = fit_causes(problem, tuple(causes))
+                judged = evaluate(judge, fitted.causes)
+            except UserError:
+                continue
+            others = [item for item in rivals if item is not rival]
+            instead = [Rival(cause, -rival.behind, -rival.less_likely), *others]
+            name = rival.cause.name
+            yield replace(
+                found,
+                found=fitted,
+                judged=judged,
+                gains={**found.gains, name: found.gains.get(cause.name, 0.0) - rival.behind},
+                rivals={**found.rivals, name: instead},
+            )
+
+
+def loses(axis_gains: Sequence[AxisGain]) -> bool:
+    """
+    Return whether the extension plainly loses more on some axes than it wins on others.
+
+    The change of the square error, relative to that before and summed over the axes, is taken for each
+    of some stretches of a log. It loses if their mean is above `LOSES` and so many standard errors
+    above zero, or if it is `MUCH`: the machine's noise in one run makes even the true model lose a
+    little somewhere. A slow force in the noise moves an axis by a count for as long as a log is, and a
+    wrong model may make up for that by chance: so it must lose without the means of the errors, too.
+
+    Many causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
+    """
+    return _rises(axis_gains, 0.0) and _rises(axis_gains, 1.0)
+
+
+def _rises(axis_gains: Sequence[AxisGain], centred: float) -> bool:
+    """Return whether square errors rise plainly, with the share `centred` of their means taken out."""
+    by_log: dict[str, list[Array]] = {}
+    for item in axis_gains:
+        if len(item.error_before) >= STRETCHES:
+            change = _change_of_square_error(item, centred)
+            by_log.setdefault(item.log, []).append(change)
+    if not by_log:
+        return False
+    changes = np.concatenate([np.sum(of_axes, axis=0) for of_axes in by_log.values()])
+    mean = float(np.mean(changes))
+    standard_error = float(np.std(changes, ddof=1)) / math.sqrt(len(changes))
+    return mean > min(max(LOSES, PLAINLY * standard_error), MUCH)
+
+
+def _change_of_square_error(item: AxisGain, centred: float) -> Array:
+    """Return it for each stretch of a log, in mean square errors of the whole log before."""
+    before, after = (
+        error - centred * np.mean(error) for error in (item.error_before, item.error_after)
+    )
+    whole = float(np.mean(before**2))
+    if whole == 0.0:
+        return np.zeros(STRETCHES)
+    parts = np.array_split(after**2 - before**2, STRETCHES)
+    return np.array([float(np.mean(part)) for part in parts]) / whole
