@@ -176,8 +176,8 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
         channels = base.residuals[block]
         fitted = by_channel(matrix @ estimate.value, channels)
         noise[block] = [left + part for left, part in zip(channels, fitted, strict=True)]
-        caused = by_channel(matrix @ change, channels)
-        with_cause[block] = [left - part for left, part in zip(noise[block], caused, strict=True)]
+        moved = by_channel(matrix @ change, channels)
+        with_cause[block] = [left - part for left, part in zip(noise[block], moved, strict=True)]
     quiet, caused = problem.judge(noise), problem.judge(with_cause)
 
     def gains(blocks: list[str]) -> tuple[float, float]:
