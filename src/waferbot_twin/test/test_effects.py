@@ -376,3 +376,16 @@ def test_page_is_up_to_date() -> None:
     """If this fails: python -m waferbot_twin.effects.effects_page docs/effects.md."""
     page = (Path(__file__).parents[3] / 'docs' / 'effects.md').read_text('utf-8')
     assert effects_page.renewed(page) == page
+
+
+def test_there_is_one_floor_and_each_direction_of_it_has_one_name():
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('floor_vibration')
+    directions = []
+    for axis in effect.axes(nominal):
+        machine = effect.overlay(nominal, axis, effect.typical(nominal, axis)).machine
+        acceleration = np.array(machine['vibration']['acceleration_m_s2'])
+        directions.append(acceleration / np.linalg.norm(acceleration))
+    assert len(directions) >= 2
+    cosines = np.abs(np.array(directions) @ np.array(directions).T)
+    assert np.max(cosines - np.eye(len(directions))) < 0.9

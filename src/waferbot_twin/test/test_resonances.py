@@ -16,7 +16,13 @@ from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Problem, apply_all
-from waferbot_twin.diagnosis.resonances import lines, screen_lines
+from waferbot_twin.diagnosis.resonances import (
+    Line,
+    _folded,
+    _in_continuous_time,
+    lines,
+    screen_lines,
+)
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.host import compact, host
@@ -53,6 +59,30 @@ def test_what_the_observer_holds_is_no_line():
     random = np.random.default_rng(1)
     slow = random.normal(0.0, 1.0, 4500) + 5.0 * np.sin(2.0 * np.pi * 40.0 * time_s)
     assert not lines(*left_over({'x_rotate': slow}))
+
+
+def test_a_mode_in_steps_is_as_slow_as_the_implicit_midpoint_rule_makes_it():
+    step_s, frequency_hz = 1.0 / 18000.0, 3823.0
+    omega = 2.0 * np.pi * _in_continuous_time(frequency_hz, step_s)
+    system = np.array([[0.0, 1.0], [-(omega**2), 0.0]])
+    half = 0.5 * step_s * system
+    advance = np.linalg.solve(np.eye(2) - half, np.eye(2) + half)
+    turned = np.abs(np.angle(np.linalg.eigvals(advance)))  # rad a step, exactly
+    assert turned == pytest.approx(2.0 * np.pi * frequency_hz * step_s, rel=1e-9)
+    assert omega / (2.0 * np.pi) > 1.15 * frequency_hz
+
+
+def test_a_line_is_looked_for_where_samples_fold_it():
+    line = Line('x_rotate', 676.0, 10.0, RATE_HZ)
+    samples = np.arange(1000) / RATE_HZ
+    shown = np.cos(2.0 * np.pi * line.frequency_hz * samples)
+    found = _folded(line, 9000.0)
+    assert len(found) == 5
+    for frequency_hz, sign in found:
+        assert np.cos(2.0 * np.pi * frequency_hz * samples) == pytest.approx(shown, abs=1e-8)
+        higher = (frequency_hz + 1.0) % RATE_HZ
+        assert min(higher, RATE_HZ - higher) == pytest.approx(line.frequency_hz + sign)
+    assert max(frequency for frequency, _ in _folded(line, 3000.0)) < 3000.0
 
 
 def log_of(variant, duration_s):

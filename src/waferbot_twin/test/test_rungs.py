@@ -14,14 +14,14 @@ from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.closed_loop_record import simulate
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
-from waferbot_twin.diagnosis.offered import coarse_readings
+from waferbot_twin.diagnosis.offered import coarse_readings, limited_commands
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.rungs import between_rungs, rungs
 from waferbot_twin.diagnosis.screening import Screened, candidates
 from waferbot_twin.diagnosis.search import TRIALS, _most_promising
 from waferbot_twin.diagnosis.whitening import fit
-from waferbot_twin.effects import find
+from waferbot_twin.effects import find, places
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -108,6 +108,17 @@ def test_steps_of_readings_are_seen_and_small_ranges_are_not(nominal):
     assert effect.trials(nominal, 'x_rotate') == ({'step': 6.0},)
     reading[0, 1] += 1.0
     assert not coarse_readings(problem)
+
+
+def test_the_largest_command_is_tried_as_a_limit(nominal):
+    per_bit = places.current_per_bit(nominal, 'x_rotate')
+    command = np.zeros((50, 3))
+    command[:, 1] = per_bit * np.linspace(-11821.0, 7000.0, 50)
+    problem = SimpleNamespace(nominal=nominal, records=[SimpleNamespace(command=command)])
+    (effect,) = limited_commands(problem)
+    assert effect.axes(nominal) == ('x_rotate',)  # the others were commanded nothing
+    assert effect.trials(nominal, 'x_rotate') == ({'limit': 11821.0},)
+    assert not limited_commands(SimpleNamespace(nominal=nominal, records=[]))
 
 
 def test_what_construction_fixes_is_held_and_costs_no_parameter(nominal):

@@ -8,10 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_twin.diagnosis import search
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import _widths, moved
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
-from waferbot_twin.diagnosis.search import Search, _take_best
+from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.search import Search, _revise, _take_best
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
@@ -76,3 +79,73 @@ def test_settings_that_are_whole_numbers_stay_so():
     assert bias.values == {'difference': -3200.0}
     assert derivative.values == {'ratio': 1.0}
     assert friction.values == {'friction': 0.123}
+
+
+class World:
+    """Logs that say how likely sets of causes are, and nothing else."""
+
+    def __init__(self, monkeypatch, log_likelihoods, promising):
+        nominal = Variant.of(load_model('rigid'))
+        self.nominal = nominal
+        self.log_likelihoods = {frozenset(key.split()): v for key, v in log_likelihoods.items()}
+        self.every = [
+            Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+            for name in sorted({name for key in log_likelihoods for name in key.split()})
+        ]
+        self.asked = []
+        monkeypatch.setattr(search, 'fit_causes', lambda problem, causes: self.hypothesis(causes))
+        monkeypatch.setattr(search, 'evaluate', lambda problem, causes: self.hypothesis(causes))
+        monkeypatch.setattr(search, '_screen_round', self.screened)
+        monkeypatch.setattr(search, '_start', lambda problem, base, item: item.cause)
+        monkeypatch.setattr(search, '_confirmed', lambda *rest: True)
+        self.promising = promising
+
+    def touched(self, effect, axis):
+        return ('plant',)
+
+    def hypothesis(self, causes):
+        names = frozenset(cause.effect.name for cause in causes)
+        self.asked.append(names)
+        fit = SimpleNamespace(log_likelihood=self.log_likelihoods[names], samples=100)
+        return Hypothesis(tuple(causes), {}, {'plant': fit})
+
+    def screened(self, problem, base, every, *rest):
+        taken = {cause.name for cause in base.causes}
+        return [
+            Screened(cause, self.promising, np.zeros(1))
+            for cause in every
+            if cause.name not in taken
+        ]
+
+
+def test_a_cause_that_stood_in_for_two_gives_way_once_the_other_is_known(monkeypatch):
+    likely = {
+        '': 0.0,
+        'constant_force': 70.0,
+        'viscous_friction': 60.0,
+        'coulomb_friction': 100.0,
+        'coulomb_friction constant_force': 150.0,
+        'viscous_friction constant_force': 200.0,
+        'viscous_friction coulomb_friction': 110.0,
+    }
+    world = World(monkeypatch, likely, 50.0)
+    by_name = {cause.effect.name: cause for cause in world.every}
+    first = world.hypothesis([by_name['coulomb_friction'], by_name['constant_force']])
+    state = Search(first, first, world.hypothesis([]), world.hypothesis([]))
+    _revise(world, world, state, world.every, [], 1, lambda *rest: None)
+    names = {cause.effect.name for cause in state.found.causes}
+    assert names == {'viscous_friction', 'constant_force'}
+    assert state.gains.keys() == {cause.name for cause in state.found.causes}
+    rivals = {item.cause.effect.name for item in state.rivals['viscous_friction:x_rotate']}
+    assert rivals == {'coulomb_friction'}
+
+
+def test_causes_that_act_on_different_blocks_are_not_chosen_again(monkeypatch):
+    world = World(monkeypatch, {'': 0.0, 'deadband coulomb_friction': 9.0}, 1.0)
+    world.touched = lambda effect, axis: (effect.block.value,)
+    both = world.hypothesis(world.every)
+    state = Search(both, both, both, both)
+    world.asked.clear()
+    _revise(world, world, state, world.every, [], 1, lambda *rest: None)
+    assert not world.asked
+    assert state.found is both

@@ -6,8 +6,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from waferbot_twin.diagnosis import withdrawal
 from waferbot_twin.diagnosis.gain import AxisGain
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.problem import Cause
+from waferbot_twin.diagnosis.search import Rival, Search
 from waferbot_twin.diagnosis.withdrawal import loses
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
 
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
 SAMPLES = 2000
@@ -59,3 +66,44 @@ def test_noise_of_the_machine_makes_no_true_model_lose():
         moved = 0.05 * np.roll(noise, int(random.integers(SAMPLES)))
         lost += loses([gain('x_rotate', noise, noise + moved)])
     assert lost <= 5
+
+
+def test_a_count_that_noise_moved_an_axis_by_counts_for_nothing():
+    count = 6.3e-6  # for the whole log, and the wrong model makes up for a part of it by chance
+    better = [gain('x_rotate', BEFORE + 0.5 * count, 0.3 * BEFORE + count)]
+    assert np.mean(better[0].error_after ** 2) > 1.5 * np.mean(better[0].error_before ** 2)
+    assert not loses(better)
+    assert loses([gain('x_rotate', BEFORE + 0.5 * count, 1.5 * BEFORE + count)])
+
+
+def test_a_rival_that_wins_takes_the_place_of_a_cause_that_loses(monkeypatch):
+    nominal = Variant.of(load_model('rigid'))
+    wrong, right, far_off = (
+        Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+        for name in ('force_constant', 'torque_ripple', 'coulomb_friction')
+    )
+
+    def hypothesis(*causes):
+        return Hypothesis(tuple(causes), {}, {})
+
+    found = Search(hypothesis(wrong), hypothesis(wrong), hypothesis(), hypothesis())
+    found.gains = {wrong.name: 40.0}
+    found.rivals = {wrong.name: [Rival(far_off, 90.0, 80.0), Rival(right, 9.0, 2.0)]}
+    asked = []
+
+    def gains(nominal, extended, records):
+        asked.append(extended)
+        loses = extended != right.effect.apply(nominal, 'x_rotate', right.values)
+        return [gain('x_rotate', BEFORE, (2.0 if loses else 0.5) * BEFORE)]
+
+    monkeypatch.setattr(withdrawal, 'gains', gains)
+    monkeypatch.setattr(withdrawal, 'fit_causes', lambda problem, causes: hypothesis(*causes))
+    monkeypatch.setattr(withdrawal, 'evaluate', lambda problem, causes: hypothesis(*causes))
+    winning = withdrawal.that_wins(nominal, None, found, None, [], [])
+    assert [cause.name for cause in winning.found.causes] == [right.name]
+    assert winning.gains[right.name] == 40.0 - 9.0
+    assert winning.rivals[right.name][0] == Rival(wrong, -9.0, -2.0)
+    found.rivals = {wrong.name: [Rival(far_off, 90.0, 80.0)]}
+    asked.clear()
+    assert withdrawal.that_wins(nominal, None, found, None, [], []) is None
+    assert len(asked) == 1
