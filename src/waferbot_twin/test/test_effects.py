@@ -389,3 +389,23 @@ def test_there_is_one_floor_and_each_direction_of_it_has_one_name():
     assert len(directions) >= 2
     cosines = np.abs(np.array(directions) @ np.array(directions).T)
     assert np.max(cosines - np.eye(len(directions))) < 0.9
+
+
+@pytest.mark.parametrize('name', ['gearbox_friction', 'gearbox_damping'])
+def test_friction_of_a_gearbox_is_told_from_that_of_its_axis_only_if_the_drive_gives(name):
+    effect = find(name)
+    rigid, flexible = (Variant.of(load_model(model)) for model in ('rigid', 'flexible'))
+    assert effect.axes(rigid) == effect.axes(flexible) == ('y_rotate',)
+    assert effect.distinct_axes(rigid) == ()
+    assert effect.distinct_axes(flexible) == ('y_rotate',)
+    # In the rigid model the same torque at the axis moves it in the same way.
+    ratio = places.motor_ratio(rigid, 'y_rotate')
+    same = find(effect.same_as)
+    value = next(iter(effect.typical(rigid, 'y_rotate').values()))
+    power = 1 if name == 'gearbox_friction' else 2  # the speed of the motor is larger by it, too
+    (of_motor,), (of_axis,) = (item.parameters(rigid, 'y_rotate') for item in (effect, same))
+    one = effect.apply(rigid, 'y_rotate', {of_motor.name: value})
+    other = same.apply(rigid, 'y_rotate', {of_axis.name: value * ratio**power})
+    moved = [twin(variant).advance(600).counts for variant in (one, other)]
+    assert np.max(np.abs(moved[0] - moved[1])) <= 1
+    assert np.max(np.abs(moved[0] - nominal_signals().counts[: len(moved[0])])) > 1

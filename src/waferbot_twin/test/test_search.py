@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,7 +98,7 @@ class World:
         monkeypatch.setattr(search, 'evaluate', lambda problem, causes: self.hypothesis(causes))
         monkeypatch.setattr(search, '_screen_round', self.screened)
         monkeypatch.setattr(search, '_start', lambda problem, base, item: item.cause)
-        monkeypatch.setattr(search, '_confirmed', lambda *rest: True)
+        monkeypatch.setattr(search, '_weighed', lambda *rest: replace(rest[-1], confirmed=True))
         self.promising = promising
 
     def touched(self, effect, axis):

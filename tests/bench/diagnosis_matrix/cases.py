@@ -123,12 +123,12 @@ class Direction:
 
 
 def pairs(variant: Variant, effects: Sequence[str] = ()) -> list[str]:
-    """Return `effect:axis` for every effect (or those named) on every axis where it makes sense."""
+    """Return `effect:axis` for every effect (or those named) on every axis where it is distinct."""
     return [
         f'{name}:{axis}'
         for name, effect in library().items()
         if not effects or name in effects
-        for axis in effect.axes(variant)
+        for axis in effect.distinct_axes(variant)
     ]
 
 

@@ -10,7 +10,7 @@ was fitted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,12 +48,13 @@ class Fitted:
     """
     A hypothesis fitted to the logs for finding, and as it stands in those for judging.
 
-    `confirmed`: it pays for itself and is to be believed.
+    `confirmed`: it pays for itself and is to be believed. `feigned`: noise in the current loop made it.
     """
 
     found: Hypothesis
     judged: Hypothesis
     confirmed: bool = False
+    feigned: bool = False
 
     @property
     def log_likelihood(self) -> float:
@@ -66,35 +67,37 @@ class Fitted:
         return self.found.information_criterion - 2.0 * self.judged.log_likelihood
 
 
-def is_confirmed(
+def weighed(
     finding: Problem, judging: Problem, base: Fitted, item: Fitted, needed: float
-) -> bool:
+) -> Fitted:
     """
-    Return whether a hypothesis is to be believed beside `base`, that without its new causes.
+    Return a hypothesis with whether it is to be believed beside `base`, that without its new causes.
 
     It has to gain `needed` in 2 ln L, and the logs for judging must not speak against it. What the
     command causes has to pay for the hypothesis in all logs together: a motion may be so slow that noise
     decides when an axis slides.
     """
     if 2.0 * (item.found.log_likelihood - base.found.log_likelihood) < needed:
-        return False
+        return item
     try:
         in_finding = caused_by_command(finding, base.found, item.found)
         in_judging = caused_by_command(judging, base.judged, item.judged)
     except UserError:
-        return False
+        return item
     confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
     if _too_little(in_finding, in_judging):
-        return False
+        return replace(item, feigned=True)
     if in_judging.expected < TELLS:
         # That motion does not show the effect: what was found must be beyond doubt by itself, and
         # what little it should do there must not speak against it.
-        return in_finding.gain >= needed + TELLS and confirmed > _least(in_judging.expected)
-    return (
-        in_finding.gain + in_judging.gain >= needed
-        and in_judging.gain >= CONFIRMS
-        and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
-    )
+        believed = in_finding.gain >= needed + TELLS and confirmed > _least(in_judging.expected)
+    else:
+        believed = (
+            in_finding.gain + in_judging.gain >= needed
+            and in_judging.gain >= CONFIRMS
+            and confirmed >= max(CONFIRMS, SHARE * in_judging.expected)
+        )
+    return replace(item, confirmed=believed)
 
 
 def _too_little(*logs: ByCommand) -> bool:

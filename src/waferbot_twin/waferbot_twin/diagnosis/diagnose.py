@@ -32,6 +32,7 @@ from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
 from waferbot_twin.diagnosis.together import far
 from waferbot_twin.diagnosis.withdrawal import that_wins
+from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
@@ -173,6 +174,7 @@ def diagnose(
     extended = apply_all(nominal, (*found.found.causes, *rest.tables))
     axis_gains = gains(nominal, extended, list(judging))
     notes += rest.notes
+    notes += _stands_for(nominal, found.found.causes)
     where = _where(problem, found)
     causes = _found_causes(problem, found, rest)
     return Diagnosis(
@@ -206,6 +208,17 @@ def _search_in_other_roles(
         return search(judge, problem, effects, progress, workers, found)
     except UserError:
         return found
+
+
+def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
+    """Say of each cause what else does exactly the same in this model."""
+    return [
+        f'in this model {effect.name} does the same on {cause.axis}: {cause.effect.name} stands for both'
+        for cause in causes
+        for effect in library().values()
+        if effect.same_as == cause.effect.name
+        and cause.axis in set(effect.axes(variant)) - set(effect.distinct_axes(variant))
+    ]
 
 
 def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:

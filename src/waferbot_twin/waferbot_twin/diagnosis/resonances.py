@@ -107,7 +107,8 @@ def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) ->
     found = lines(problem, base)
     screened = []
     for cause in rivals if found else []:
-        if may_ring(problem, cause):
+        nothing_yet = not any(cause.values.values())
+        if nothing_yet and may_ring(problem, cause):
             screened += [
                 Screened(tried, gain - math.log(base.samples), np.zeros(1))
                 for tried, gain in _at_lines(problem, base, cause, found)

@@ -14,7 +14,7 @@ whose size the logs show themselves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,10 +31,13 @@ from waferbot_twin.diagnosis.jointly import Signature, fit_jointly, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.rungs import rungs
-from waferbot_twin.effects.effect import Effect
+from waferbot_twin.effects.effect import Effect, Parameter
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
+
+SOFT = tuple(np.geomspace(3.0, 20.0, 9).tolist())
+"""Times its typical value at which a compliance is tried: it rings below what `resonances` looks at."""
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
@@ -57,7 +60,7 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
     """Return every effect on every axis where the logs could show it, with none of it yet."""
     found: list[Cause] = []
     for effect in effects:
-        for axis in effect.axes(problem.nominal):
+        for axis in effect.distinct_axes(problem.nominal):
             if not problem.touched(effect, axis):
                 continue
             parameters = effect.parameters(problem.nominal, axis)
@@ -69,7 +72,17 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                 }
                 cause = Cause(effect, axis, values, held)
                 found += rungs(problem, cause) if effect.threshold else [cause]
+                found += _soft(parameters, cause) if effect.rings else []
     return found
+
+
+def _soft(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
+    """Give the compliance of what is held rigid where it is soft: a little of it says nothing."""
+    (item,) = parameters
+    if item.neutral == 0.0:
+        for factor in SOFT:
+            value = min(item.typical * factor, item.high)
+            yield cause.with_values({item.name: value})
 
 
 def signatures(

@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.confirmation import Fitted, is_confirmed
+from waferbot_twin.diagnosis.confirmation import Fitted, weighed
 from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
 from waferbot_twin.diagnosis.jointly import Signature
@@ -110,7 +110,7 @@ class Search:
 
     `found` and `judged` are the causes in the logs for finding and for judging; `nothing` and
     `judged_nothing` the nominal model there; `gains` what each cause gained in Schwarz' criterion,
-    `rivals` what was fitted in its place.
+    `rivals` what was fitted in its place; `feigned` names what noise made: it is not fitted again.
     """
 
     found: Hypothesis
@@ -119,6 +119,7 @@ class Search:
     judged_nothing: Hypothesis
     gains: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
+    feigned: set[str] = field(default_factory=set)
     tried: int = 0
 
 
@@ -143,6 +144,7 @@ def search(
         state.found = fit_causes(finding, known_causes.found.causes, workers=workers)
         state.judged = evaluate(judging, state.found.causes)
         state.gains, state.rivals = dict(known_causes.gains), dict(known_causes.rivals)
+        state.feigned = set(known_causes.feigned)
     at_first = len(state.found.causes)
     known = signatures(finding, nothing, every, workers, progress)
     together = False
@@ -347,6 +349,7 @@ def _fit_best(
 
     Those that promise much less than another has already `gained` are not, if the other is confirmed.
     """
+    screened = [item for item in screened if item.cause.name not in state.feigned]
     chosen = _most_promising(finding, screened)
     fitted: list[Fitted] = []
     for number, item in enumerate(chosen):
@@ -374,7 +377,10 @@ def _fit_one(finding: Problem, judging: Problem, state: Search, item: Screened) 
         one = Fitted(found, evaluate(judging, found.causes))
     except UserError:
         return None
-    return replace(one, confirmed=_confirmed(finding, judging, state, one))
+    one = _weighed(finding, judging, state, one)
+    if one.feigned:
+        state.feigned.add(item.cause.name)
+    return one
 
 
 def _as_promising(
@@ -442,7 +448,7 @@ def _fit_pairs(
                 continue
             gained = 2.0 * (both.log_likelihood - best.log_likelihood)
             if gained > price(both, best, state.tried):
-                found.append(replace(one, confirmed=_confirmed(finding, judging, state, one)))
+                found.append(_weighed(finding, judging, state, one))
     return found
 
 
@@ -491,10 +497,10 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     return start
 
 
-def _confirmed(finding: Problem, judging: Problem, state: Search, item: Fitted) -> bool:
-    """Return whether a hypothesis is to be believed beside what was found so far."""
+def _weighed(finding: Problem, judging: Problem, state: Search, item: Fitted) -> Fitted:
+    """Return a hypothesis with whether it is to be believed beside what was found so far."""
     base = Fitted(state.found, state.judged)
-    return is_confirmed(finding, judging, base, item, price(item.found, state.found, state.tried))
+    return weighed(finding, judging, base, item, price(item.found, state.found, state.tried))
 
 
 def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:

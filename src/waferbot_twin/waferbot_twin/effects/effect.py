@@ -54,6 +54,11 @@ class Parameter:
 Trials = Callable[[Variant, str], tuple[Values, ...]]
 
 
+def always(variant: Variant, axis: str) -> bool:
+    """Tell an effect from every other one, in any model."""
+    return True
+
+
 def one_trial(variant: Variant, axis: str) -> tuple[Values, ...]:
     """Return the one trial of an effect whose typical shape parameters will do."""
     return ({},)
@@ -77,7 +82,8 @@ class Effect:
     while it is small: its signature must be sought at typical values, not near the neutral ones. A
     little of one that `rings` makes the machine ring, the higher the less there is of it. `tone` is
     the shape parameter that is a frequency, if the effect is there at this one and nowhere else. Of a
-    `usual` one every machine has some: where a model is far off, it is likely among what lacks.
+    `usual` one every machine has some: where a model is far off, it is likely among what lacks. Where
+    one is not `distinct` in a model, the effect `same_as` does exactly the same and stands for it.
     """
 
     name: str
@@ -92,6 +98,12 @@ class Effect:
     usual: bool = False
     rings: bool = False
     tone: str = ''
+    same_as: str = ''
+    distinct: Callable[[Variant, str], bool] = always
+
+    def distinct_axes(self, variant: Variant) -> tuple[str, ...]:
+        """Return the axes on which the effect makes sense and no other one does exactly the same."""
+        return tuple(axis for axis in self.axes(variant) if self.distinct(variant, axis))
 
     def typical(self, variant: Variant, axis: str) -> Values:
         """Return the typical value of every parameter."""

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Friction before the transmission that grows with speed, F = d v_motor: grease in a gearbox."""
+"""
+Friction before the transmission that grows with speed, F = d v_motor: grease in a gearbox.
+
+Where nothing gives between motor and axis, viscous friction of the axis stands for both.
+"""
 
 from __future__ import annotations
 
@@ -30,4 +34,6 @@ EFFECT = Effect(
     _overlay,
     equation='F = damping v_motor',
     usual=True,
+    same_as='viscous_friction',
+    distinct=places.drive_gives,
 )

@@ -3,7 +3,8 @@
 Dry friction before the transmission: bearings of the motor, seals and teeth of the gearbox.
 
 F = F_c sign(v) at the speed of the motor. Felt at the axis it is larger by the ratio of the drive. Only
-what gives between motor and axis tells it from friction of the axis itself.
+what gives between motor and axis tells it from friction of the axis itself: where nothing does, Coulomb
+friction stands for both.
 """
 
 from __future__ import annotations
@@ -35,4 +36,6 @@ EFFECT = Effect(
     _overlay,
     equation='F = friction sign(v_motor)',
     usual=True,
+    same_as='coulomb_friction',
+    distinct=places.drive_gives,
 )

@@ -70,6 +70,16 @@ def geared_axes(variant: Variant) -> tuple[str, ...]:
     )
 
 
+def drive_gives(variant: Variant, axis: str) -> bool:
+    """Return whether anything gives between the motor and the axis."""
+    return any(
+        stage.connection is not None and variant.description.connections[stage.connection].flexible
+        for transmission in variant.description.transmissions.values()
+        if moves_with(variant, axis, transmission.driven)
+        for stage in transmission.stages
+    )
+
+
 def moves_with(variant: Variant, axis: str, name: str) -> bool:
     """Return whether coordinate `name` is tied to the axis if nothing gives."""
     placing = variant.rigid.placing
