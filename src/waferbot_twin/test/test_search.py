@@ -11,7 +11,7 @@ import pytest
 
 from waferbot_twin.diagnosis import search
 from waferbot_twin.diagnosis.confirmation import Fitted
-from waferbot_twin.diagnosis.fitting import _widths, moved
+from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.screening import Screened
@@ -85,6 +85,8 @@ def test_settings_that_are_whole_numbers_stay_so():
 class World:
     """Logs that say how likely sets of causes are, and nothing else."""
 
+    correlation = 0.5
+
     def __init__(self, monkeypatch, log_likelihoods, promising):
         nominal = Variant.of(load_model('rigid'))
         self.nominal = nominal
@@ -108,7 +110,10 @@ class World:
         names = frozenset(cause.effect.name for cause in causes)
         self.asked.append(names)
         fit = SimpleNamespace(log_likelihood=self.log_likelihoods[names], samples=100)
-        return Hypothesis(tuple(causes), {}, {'plant': fit})
+        count = len(names_of(self, causes))
+        covariance = np.full((count, count), self.correlation)
+        np.fill_diagonal(covariance, 1.0)
+        return Hypothesis(tuple(causes), {}, {'plant': fit}, covariance)
 
     def screened(self, problem, base, every, *rest):
         taken = {cause.name for cause in base.causes}
@@ -141,9 +146,9 @@ def test_a_cause_that_stood_in_for_two_gives_way_once_the_other_is_known(monkeyp
     assert rivals == {'coulomb_friction'}
 
 
-def test_causes_that_act_on_different_blocks_are_not_chosen_again(monkeypatch):
+def test_causes_that_do_not_bend_each_other_are_not_chosen_again(monkeypatch):
     world = World(monkeypatch, {'': 0.0, 'deadband coulomb_friction': 9.0}, 1.0)
-    world.touched = lambda effect, axis: (effect.block.value,)
+    world.correlation = 0.05
     both = world.hypothesis(world.every)
     state = Search(both, both, both, both)
     world.asked.clear()

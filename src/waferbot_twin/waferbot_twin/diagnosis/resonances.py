@@ -79,8 +79,11 @@ CLOSE = (
 )
 """How far about a value others are tried, as a share of it; then ever closer about the best of these."""
 
-TUNING = tuple(np.geomspace(0.04, 20.0, 64))
-"""Times the typical value at which a compliance is tried, 10 % apart."""
+TUNING = tuple(np.geomspace(0.04, 3.0, 45))
+"""Times its typical value at which a compliance is tried, 10 % apart."""
+
+SOFTLY = (0.9, 1.0, 1.1)
+"""Times its value at which one is tried that is softer than all these."""
 
 COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
 """As `CLOSE`, about the best of these."""
@@ -309,8 +312,12 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     told. The cause as it is where no other value explains the logs plainly better. Raises `UserError`.
     """
     (item,) = parameters_of(problem, cause)
-    typical = replace(cause.with_values({item.name: item.typical}), narrow=(item.name,))
-    best, _ = _best(problem, base, typical, TUNING)
+    narrow = replace(cause, narrow=(item.name,))
+    if cause.values[item.name] < TUNING[-1] * item.typical:
+        typical = narrow.with_values({item.name: item.typical})
+        best, _ = _best(problem, base, typical, TUNING)
+    else:
+        best, _ = _best(problem, base, narrow, SOFTLY)
     best, gain = _best(problem, base, best, [1.0 + share for share in COARSELY])
     if gain < _in_any_phase(problem, base, cause) + PLAINLY:
         return cause

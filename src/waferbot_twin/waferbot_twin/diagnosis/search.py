@@ -85,6 +85,9 @@ MOST_ROUNDS = 8
 REVISIONS, MOST_REVISED = 8, 4
 """How many causes are chosen again beside the others, and of how many."""
 
+BENT = 0.1
+"""Correlation of estimates from which on one cause may have bent another."""
+
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""
 
@@ -239,7 +242,7 @@ def _revise(
             cause
             for cause in causes
             if (cause.name, _names_beside(causes, cause)) not in settled
-            and _acts_beside_others(finding, cause, causes)
+            and _bent(finding, state.found, cause)
         ]
         if not open_ones:
             return
@@ -254,14 +257,14 @@ def _names_beside(causes: Sequence[Cause], cause: Cause) -> frozenset[str]:
     return frozenset(other.name for other in causes) - {cause.name}
 
 
-def _acts_beside_others(problem: Problem, cause: Cause, causes: Sequence[Cause]) -> bool:
-    """Return whether other causes act on a block that a cause acts on."""
-    own = set(problem.touched(cause.effect, cause.axis))
-    return any(
-        own.intersection(problem.touched(other.effect, other.axis))
-        for other in causes
-        if other.name != cause.name
+def _bent(problem: Problem, found: Hypothesis, cause: Cause) -> bool:
+    """Return whether the values of a cause depend on those of the others: so may its name."""
+    own = np.array(
+        [found.causes[place].name == cause.name for place, _ in names_of(problem, found.causes)]
     )
+    deviations = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
+    correlation = found.covariance / np.outer(deviations, deviations)
+    return bool(np.max(np.abs(correlation[np.ix_(own, ~own)]), initial=0.0) > BENT)
 
 
 def _choose_again(
