@@ -15,7 +15,7 @@ from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Problem
-from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.variant import Variant

@@ -11,7 +11,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.left_over import LeftOver, axes_that_differ
 from waferbot_twin.diagnosis.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.variant import Variant

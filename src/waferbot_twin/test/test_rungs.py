@@ -19,7 +19,7 @@ from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.rungs import between_rungs, rungs
 from waferbot_twin.diagnosis.screening import Screened, candidates
-from waferbot_twin.diagnosis.search import TRIALS, _most_promising
+from waferbot_twin.diagnosis.shortlist import TRIALS, most_promising
 from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.host import compact, host
@@ -139,6 +139,6 @@ def test_trials_that_promise_as_much_are_all_fitted(nominal):
         return Screened(cause, score, np.zeros(2))
 
     screened = [at(2.0, 100.0), at(6.0, 99.0), at(1.0, 50.0)]
-    assert [item.score for item in _most_promising(problem, screened)] == [100.0, 99.0]
+    assert [item.score for item in most_promising(problem, screened)] == [100.0, 99.0]
     tied = [at(float(order), 100.0) for order in range(1, 8)]
-    assert len(_most_promising(problem, tied)) == TRIALS
+    assert len(most_promising(problem, tied)) == TRIALS

@@ -9,13 +9,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis import search
+from waferbot_twin.diagnosis import search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.screening import Screened
-from waferbot_twin.diagnosis.search import Search, _revise, _take_best
+from waferbot_twin.diagnosis.search import _revise, _take_best
+from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
@@ -96,11 +97,12 @@ class World:
             for name in sorted({name for key in log_likelihoods for name in key.split()})
         ]
         self.asked = []
-        monkeypatch.setattr(search, 'fit_causes', lambda problem, causes: self.hypothesis(causes))
-        monkeypatch.setattr(search, 'evaluate', lambda problem, causes: self.hypothesis(causes))
+        for module in (search, shortlist):
+            monkeypatch.setattr(module, 'fit_causes', lambda _, causes: self.hypothesis(causes))
+            monkeypatch.setattr(module, 'evaluate', lambda _, causes: self.hypothesis(causes))
         monkeypatch.setattr(search, '_screen_round', self.screened)
-        monkeypatch.setattr(search, '_start', lambda problem, base, item: item.cause)
-        monkeypatch.setattr(search, '_weighed', lambda *rest: replace(rest[-1], confirmed=True))
+        monkeypatch.setattr(shortlist, '_start', lambda problem, base, item: item.cause)
+        monkeypatch.setattr(shortlist, '_weighed', lambda *rest: replace(rest[-1], confirmed=True))
         self.promising = promising
 
     def touched(self, effect, axis):

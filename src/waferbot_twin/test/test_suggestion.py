@@ -14,7 +14,7 @@ from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.search import TELLS_APART
+from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant

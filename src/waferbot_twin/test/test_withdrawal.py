@@ -10,7 +10,7 @@ from waferbot_twin.diagnosis import withdrawal
 from waferbot_twin.diagnosis.gain import AxisGain
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
-from waferbot_twin.diagnosis.search import Rival, Search
+from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.diagnosis.withdrawal import loses
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant

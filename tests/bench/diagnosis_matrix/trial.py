@@ -41,7 +41,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.report import as_dict
-from waferbot_twin.diagnosis.search import TELLS_APART
+from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.places import moving_inertia

@@ -22,14 +22,15 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, standard_errors
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.screening import Progress
-from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search, search, standard_errors
+from waferbot_twin.diagnosis.search import search
+from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
 from waferbot_twin.diagnosis.together import far
 from waferbot_twin.diagnosis.withdrawal import that_wins
 from waferbot_twin.effects import library

@@ -21,7 +21,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Problem
 from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.search import Search
+from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit
 from waferbot_twin.logs.machine import POSITION_ENCODER
 

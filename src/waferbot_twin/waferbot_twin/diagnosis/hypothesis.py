@@ -135,3 +135,8 @@ def _probe(cause: Cause, item: Parameter) -> float:
     value = cause.values[item.name]
     step = max(PROBE * width_of(cause, item), item.resolution)
     return step if item.low <= value + step <= item.high else -step
+
+
+def standard_errors(hypothesis: Hypothesis) -> Array:
+    """Return the standard error of every parameter, in the order of the causes."""
+    return np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))

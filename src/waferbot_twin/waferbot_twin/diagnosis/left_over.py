@@ -17,7 +17,9 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import Progress
-from waferbot_twin.diagnosis.search import PLAIN, Search, search
+from waferbot_twin.diagnosis.search import search
+from waferbot_twin.diagnosis.search_state import Search
+from waferbot_twin.diagnosis.shortlist import PLAIN
 from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.effects.places import motor_axes, moves_with
 

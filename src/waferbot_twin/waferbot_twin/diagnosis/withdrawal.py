@@ -20,7 +20,7 @@ from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.search import TELLS_APART, Rival, Search
+from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
 from waferbot_twin.effects.variant import Variant
 
 LOSES = 0.02

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_twin.cli.console import finite, significant
-from waferbot_twin.diagnosis.search import TELLS_APART
+from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.suggestion.suggest import Rated, Suggestion
 

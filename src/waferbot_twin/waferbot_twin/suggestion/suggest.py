@@ -22,7 +22,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.problem import Cause, apply_all
 from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.search import TELLS_APART
+from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, library
 from waferbot_twin.suggestion.separation import Machine, Separation, separation
 
