@@ -46,6 +46,21 @@ def log(folder, experiment, seed, *effects):
     return folder
 
 
+def short_motion(tmp_path, axis):
+    """Return a motion that a diagnosis is soon through with."""
+    file = tmp_path / 'short.yaml'
+    motion = {
+        'kind': 'random',
+        'start_s': 0.05,
+        'hold_s': 0.06,
+        'amplitude_counts': 400,
+        'seed': 1,
+    }
+    content = {'name': 'short', 'duration_s': 0.8, 'motion': {axis: motion}}
+    file.write_text(json.dumps(content), 'utf-8')
+    return file
+
+
 def diagnosis(tmp_path, *logs):
     finding, judging = logs
     text = output_of(
@@ -67,7 +82,8 @@ def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(ra
         'synthesize', '--experiment', 'step', '--seed', seeds[0],
         '--effect', f'{name}:{axis}', '--truth', truth, '--out', first,
     )  # fmt: skip
-    second = log(tmp_path / 'second', f'random_{axis}', seeds[1], f'{name}:{axis}')
+    motion = short_motion(tmp_path, axis)
+    second = log(tmp_path / 'second', motion, seeds[1], f'{name}:{axis}')
     report = diagnosis(tmp_path, first, second)
     hidden = json.loads(truth.read_text('utf-8'))['effects'][0]
     assert report['verdict'] in ('explained', 'partly')
@@ -92,7 +108,7 @@ def test_nothing_hidden_nothing_found(random, tmp_path):
     report = diagnosis(
         tmp_path,
         log(tmp_path / 'first', 'step', seeds[0]),
-        log(tmp_path / 'second', 'random_x_rotate', seeds[1]),
+        log(tmp_path / 'second', short_motion(tmp_path, 'x_rotate'), seeds[1]),
     )
     assert report['verdict'] == 'consistent', report['sentence']
     assert report['causes'] == []

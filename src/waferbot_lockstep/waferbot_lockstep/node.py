@@ -241,6 +241,8 @@ class LockstepNode(Node):
         else:
             self.outcome = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'
             self.get_logger().error(self.outcome)
+        # Passed on in the farewell: a node that has just started may know this one, but not yet that.
+        self._last_messages[self._stop_publisher] = stop
 
     def _on_sign_of_life(self) -> None:
         if self.outcome is not None:

@@ -24,13 +24,14 @@ from waferbot_twin.diagnosis.resonances import (
     screen_lines,
 )
 from waferbot_twin.diagnosis.screening import candidates
-from waferbot_twin.effects import find, library
+from waferbot_twin.effects import find
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
 RATE_HZ = 2250.0
+RIVALS = ('belt_compliance', 'gearbox_compliance', 'bearing_moment_compliance')
 
 
 def left_over(channels):
@@ -107,7 +108,7 @@ def test_a_stiff_part_that_rings_is_found_by_its_line(share, folds):
     noise = np.random.default_rng(seed).normal(0.0, 0.5, record.reading.shape)
     problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
     base = evaluate(problem)
-    rivals = [item for item in candidates(problem, library().values()) if item.effect.rings]
+    rivals = candidates(problem, [find(name) for name in RIVALS])
     screened = screen_lines(problem, base, rivals)
     fitted = [
         fit_causes(problem, (item.cause,))
