@@ -7,6 +7,7 @@ import itertools
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -401,3 +402,10 @@ def test_a_log_in_memory_is_the_one_that_the_command_writes(tmp_path):
     np.testing.assert_array_equal(in_memory.commanded, written.commanded)
     np.testing.assert_allclose(in_memory.line_current, written.line_current, atol=0.02)
     assert np.ptp(written.reading[:, 1]) > 400.0
+
+
+def test_a_gain_is_compared_on_the_logs_that_judged():
+    finding, judging = ([SimpleNamespace(name=name)] for name in ('log_0', 'log_1'))
+    for names, records in ((['log_1'], judging), (['log_0'], finding)):
+        report = {'gain': {'validation': names}}
+        assert trial._judged_by(report, finding, judging) is records

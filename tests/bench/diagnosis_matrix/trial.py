@@ -92,10 +92,15 @@ def log(variant: Variant, model: str, noise: float, experiment: str, seed: int) 
 
 
 def logs(
-    variant: Variant, model: str, noise: float, motions: Sequence[tuple[str, int]]
+    variant: Variant, model: str, noise: float, motions: Sequence[tuple[str, int]], first: int = 0
 ) -> list[Record]:
-    """Return the logs of several motions."""
-    return [log(variant, model, noise, experiment, seed) for experiment, seed in motions]
+    """Return the logs of several motions, with the names that files would have."""
+    return [
+        dataclasses.replace(
+            log(variant, model, noise, experiment, seed), name=f'log_{first + place}'
+        )
+        for place, (experiment, seed) in enumerate(motions)
+    ]
 
 
 def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
@@ -127,7 +132,7 @@ def _run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
     variant = apply_all(nominal(model), hidden)
     try:
         finding = logs(variant, model, drawn.noise, drawn.finding)
-        judging = logs(variant, model, drawn.noise, drawn.judging)
+        judging = logs(variant, model, drawn.noise, drawn.judging, len(finding))
     except UserError as error:
         raise OutOfReach(str(error)) from error
     without = [cause.effect.name for cause in hidden] if _kind(case) == UNKNOWN else []
@@ -269,7 +274,7 @@ def _compared(
         'inseparable': inseparable,
         'wrong_and_sure': scoring.wrong_and_sure(report, outcome),
         'errors': _errors(hidden, report, model),
-        'gain_share': _gain_share(hidden, report, model, judging),
+        'gain_share': _gain_share(hidden, report, model, _judged_by(report, finding, judging)),
         'runtime_s': report['runtime_s'],
     }
 
@@ -321,13 +326,22 @@ def _errors(hidden: Sequence[Cause], report: dict[str, Any], model: str) -> list
     ]
 
 
+def _judged_by(
+    report: dict[str, Any], finding: Sequence[Record], judging: Sequence[Record]
+) -> Sequence[Record]:
+    """Return the logs on which a report measured its gain: a diagnosis may change their roles."""
+    names = set(report['gain']['validation'])
+    return judging if names == {record.name for record in judging} else finding
+
+
 def _gain_share(
     hidden: Sequence[Cause], report: dict[str, Any], model: str, judging: Sequence[Record]
 ) -> float | None:
     """
     Return what the extended model gains in the logs for judging over what the true one would.
 
-    On the axis where the true one gains most; None where it gains next to nothing.
+    On the axis where the true one gains most, in the logs that judged; None where it gains next to
+    nothing.
     """
     if not hidden:
         return None
