@@ -175,7 +175,7 @@ def diagnose(
     extended = apply_all(nominal, (*found.found.causes, *rest.tables))
     axis_gains = gains(nominal, extended, list(judging))
     notes += rest.notes
-    notes += _stands_for(nominal, found.found.causes)
+    notes += _stands_for(extended, found.found.causes)
     where = _where(problem, found)
     causes = _found_causes(problem, found, rest)
     return Diagnosis(
