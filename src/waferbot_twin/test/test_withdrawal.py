@@ -107,3 +107,23 @@ def test_a_rival_that_wins_takes_the_place_of_a_cause_that_loses(monkeypatch):
     asked.clear()
     assert withdrawal.that_wins(nominal, None, found, None, [], []) is None
     assert len(asked) == 1
+
+
+def test_no_rival_is_fitted_if_what_was_found_wins(monkeypatch):
+    nominal = Variant.of(load_model('rigid'))
+    own, rival = (
+        Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+        for name in ('force_constant', 'torque_ripple')
+    )
+    causes = Hypothesis((own,), {}, {})
+    found = Search(causes, causes, causes, causes)
+    found.rivals = {own.name: [Rival(rival, 9.0, 2.0)]}
+
+    def no_fit(*arguments):
+        raise AssertionError('a rival was fitted')
+
+    monkeypatch.setattr(withdrawal, 'fit_causes', no_fit)
+    monkeypatch.setattr(
+        withdrawal, 'gains', lambda *rest: [gain('x_rotate', BEFORE, 0.5 * BEFORE)]
+    )
+    assert withdrawal.that_wins(nominal, None, found, None, [], []) is found

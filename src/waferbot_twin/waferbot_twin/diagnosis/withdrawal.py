@@ -8,6 +8,7 @@ closed loop where another does not.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -44,20 +45,23 @@ def that_wins(
     """
     Return the search with causes that win on the logs for judging, or None if none do.
 
-    Those found, or with a rival that the logs cannot tell in place of one of them. What does not even
-    run is said in `notes`. Raises `UserError` if the nominal model does not run.
+    Those found, or with a rival that the logs cannot tell in place of one of them. If none do, `notes`
+    say what does not even run. Raises `UserError` if the nominal model does not run.
     """
-    for candidate in (found, *_with_rivals(problem, judge, found)):
+    reasons = []
+    # One after another: a rival costs a fit, and mostly what was found wins.
+    for candidate in itertools.chain([found], _with_rivals(problem, judge, found)):
         causes = candidate.found.causes
         try:
             extension = gains(nominal, apply_all(nominal, causes), list(judging))
         except UserError as error:
             if not causes:
                 raise
-            notes.append(f'the extended model does not run in closed loop ({error})')
+            reasons.append(f'the extended model does not run in closed loop ({error})')
             continue
         if not loses(extension):
             return candidate
+    notes += dict.fromkeys(reasons)
     return None
 
 
@@ -99,11 +103,11 @@ def loses(axis_gains: Sequence[AxisGain]) -> bool:
 
     Many causes in the drive hardly move a position: whether that wins or loses a millionth says nothing.
     """
-    return _rises(axis_gains, 0.0) and _rises(axis_gains, 1.0)
+    return _rises(axis_gains, centred=False) and _rises(axis_gains, centred=True)
 
 
-def _rises(axis_gains: Sequence[AxisGain], centred: float) -> bool:
-    """Return whether square errors rise plainly, with the share `centred` of their means taken out."""
+def _rises(axis_gains: Sequence[AxisGain], centred: bool) -> bool:
+    """Return whether square errors rise plainly, as they are or `centred`, without their means."""
     by_log: dict[str, list[Array]] = {}
     for item in axis_gains:
         if len(item.error_before) >= STRETCHES:
@@ -117,10 +121,11 @@ def _rises(axis_gains: Sequence[AxisGain], centred: float) -> bool:
     return mean > min(max(LOSES, PLAINLY * standard_error), MUCH)
 
 
-def _change_of_square_error(item: AxisGain, centred: float) -> Array:
+def _change_of_square_error(item: AxisGain, centred: bool) -> Array:
     """Return it for each stretch of a log, in mean square errors of the whole log before."""
     before, after = (
-        error - centred * np.mean(error) for error in (item.error_before, item.error_after)
+        error - np.mean(error) if centred else error
+        for error in (item.error_before, item.error_after)
     )
     whole = float(np.mean(before**2))
     if whole == 0.0:
