@@ -5,7 +5,17 @@ from __future__ import annotations
 
 import pytest
 
-from waferbot_twin.diagnosis.confirmation import ByCommand, _too_little
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.confirmation import ByCommand, _too_little, caused_by_command
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
 
 
 @pytest.mark.parametrize(
@@ -26,3 +36,19 @@ def test_currents_must_show_what_they_should(gains, too_little):
 
 def test_what_the_plant_shows_does_not_count_as_currents():
     assert not _too_little(ByCommand(100.0, 320.0))
+
+
+@pytest.mark.slow
+def test_a_belt_that_never_slips_shows_by_what_it_gives():
+    """A little more or less of its limit changes nothing then: the whole of it has to be asked."""
+    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    slip = Cause(find('belt_slip'), 'y_rotate', {'force': 9000.0})
+    variant = slip.effect.apply(nominal, slip.axis, slip.values)
+    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('random_y_rotate'), twin.servo_parameters, timing.servo_hz
+    )
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
+    shown = caused_by_command(problem, evaluate(problem), evaluate(problem, (slip,)))
+    assert shown.gain > 100.0
+    assert shown.gain == pytest.approx(shown.expected, rel=0.2)

@@ -14,8 +14,8 @@ from waferbot_plant.modes import coupled_modes
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import PLANT, Problem, apply_all
+from waferbot_twin.diagnosis.hypothesis import evaluate, width_of
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.resonances import (
     Line,
     _folded,
@@ -120,3 +120,12 @@ def test_a_stiff_part_that_rings_is_found_by_its_line(share, folds):
     assert 2.0 * (best.log_likelihood - base.log_likelihood) > 50.0
     (mode,) = coupled_modes(apply_all(nominal, best.causes).build(Timing()))
     assert folds == (mode.frequency_hz > RATE_HZ / 2.0)
+
+
+def test_a_ring_that_a_fit_has_brought_to_nothing_can_still_be_moved():
+    nominal, effect = host(Variant.of(load_model('rigid'))), find('gearbox_compliance')
+    (item,) = effect.parameters(nominal, 'y_rotate')
+    none = Cause(effect, 'y_rotate', {'compliance': 0.0}, narrow=('compliance',))
+    some = none.with_values({'compliance': item.typical})
+    assert width_of(none, item) == item.typical
+    assert 0.0 < width_of(some, item) < 0.01 * item.typical

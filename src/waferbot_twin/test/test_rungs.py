@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -59,6 +60,20 @@ def test_a_limit_is_found_between_rungs_however_little_it_cuts_off(nominal, shar
     assert found.values['limit'] == pytest.approx(limit, abs=3.0)
     left_over = evaluate(problem, (found,)).residuals[CONTROLLER][0]
     assert np.abs(left_over).max() <= 3.5 * per_bit
+
+
+@pytest.mark.slow
+def test_rungs_lead_down_to_the_least_that_is_possible(nominal):
+    problem = Problem(nominal, [log_of(nominal, 0.05)])
+    effect, axis = find('i2t_foldback'), 'y_linear'
+    (item, _) = effect.parameters(nominal, axis)
+    found = [
+        rung.values['continuous']
+        for rung in rungs(problem, Cause(effect, axis, effect.typical(nominal, axis)))
+    ]
+    assert found[-1] == item.low
+    assert found[0] < item.neutral
+    assert all(1.0 < above / below < 1.3 for above, below in itertools.pairwise(found))
 
 
 @pytest.mark.slow

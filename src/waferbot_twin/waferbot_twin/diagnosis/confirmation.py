@@ -15,7 +15,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, signature
+from waferbot_twin.diagnosis.hypothesis import (
+    Hypothesis,
+    evaluate,
+    parameters_of,
+    signature,
+    whole_change,
+)
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Problem
 
@@ -160,11 +166,15 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
         gained = 2.0 * (more.log_likelihood - base.log_likelihood)
         return ByCommand(gained, gained)
     ideal = problem.ideal(more.causes) or problem
-    there = evaluate(ideal, more.causes)
-    own = signature(ideal, there, more.causes, len(more.causes) - 1)
-    change = np.array(
-        [0.0 if item.shape else cause.values[item.name] - item.neutral for item in parameters]
-    )
+    if cause.effect.threshold:
+        own = whole_change(ideal, evaluate(ideal, more.causes[:-1]), more.causes)
+        change = np.ones(1)
+    else:
+        there = evaluate(ideal, more.causes)
+        own = signature(ideal, there, more.causes, len(more.causes) - 1)
+        change = np.array(
+            [0.0 if item.shape else cause.values[item.name] - item.neutral for item in parameters]
+        )
     exact = [block for block in problem.exact_blocks if block in base.fits]
     sure = sum(
         2.0 * (more.fits[block].log_likelihood - base.fits[block].log_likelihood)

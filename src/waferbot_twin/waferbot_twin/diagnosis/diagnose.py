@@ -48,7 +48,10 @@ UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
 
 DOUBTFUL = 0.5
-"""Confidence at most in a cause that leaves some over in a block where a right one leaves nothing."""
+"""
+Confidence at most in a cause that leaves some over in a block where a right one leaves nothing, or on
+whose values the logs disagree.
+"""
 
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""

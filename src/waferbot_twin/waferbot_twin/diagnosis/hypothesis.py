@@ -123,9 +123,10 @@ def width_of(cause: Cause, item: Parameter) -> float:
     Return how far it is usual to move a parameter: from neutral to typical.
 
     Where these are the same (of most shapes), its typical value; where that is nothing, a tenth of what
-    is possible. A narrow one moves by a share of its value.
+    is possible. A narrow one moves by a share of its value,
+    unless a fit has brought it to zero.
     """
-    if item.name in cause.narrow:
+    if item.name in cause.narrow and cause.values[item.name] != 0.0:
         return NARROW * abs(cause.values[item.name])
     return abs(item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low))
 

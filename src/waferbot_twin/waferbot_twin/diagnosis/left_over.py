@@ -2,9 +2,10 @@
 """
 What the causes leave unexplained, and where.
 
-Four kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+Five kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
 block whose output follows from its input to the last bit still does something else; what is left follows
-the command (`following`); or a table of force over speed or position explains it.
+the command (`following`); the logs want different values of a cause (`agreement`); or a table of force
+over speed or position explains it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
 from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.nonparametric import tables
@@ -36,12 +38,14 @@ class LeftOver:
     What the causes leave unexplained.
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
-    the command; by block those with something `different`; `tables` of force that explain it.
+    the command; by block those with something `different`; causes on which the logs are `disagreeing`;
+    `tables` of force that explain it.
     """
 
     moving: list[str]
     following: list[str]
     different: Mapping[str, Sequence[str]]
+    disagreeing: list[Disagreement]
     tables: list[Cause]
     notes: list[str]
 
@@ -50,10 +54,18 @@ class LeftOver:
         """All axes on which something is left unexplained, each once."""
         every = [cause.axis for cause in self.tables] + self.moving + self.following
         every += [axis for axes in self.different.values() for axis in axes]
+        every += [axis for item in self.disagreeing for axis in item.axes]
         return list(dict.fromkeys(every))
 
     def in_doubt(self, cause: Cause, problem: Problem) -> bool:
-        """Return whether a cause acts in exact blocks alone, one of which still does something else."""
+        """
+        Return whether there is reason to doubt a cause.
+
+        The logs disagree on its values, or it acts in exact blocks alone, one of which still does
+        something else.
+        """
+        if any(item.cause.name == cause.name for item in self.disagreeing):
+            return True
         touched = problem.touched(cause.effect, cause.axis)
         return all(block in self.different for block in touched) and any(
             cause.axis in self.different[block] for block in touched
@@ -67,12 +79,14 @@ def left_over(
     moving = axes_that_move(problem, found)
     following = axes_that_follow(problem, judge, found)
     different = axes_that_differ(problem, judge, found)
+    disagreeing = [] if moving else disagreements(problem, judge, found)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
     notes = [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
         for block, axes in different.items()
         for axis in axes
     ]
+    notes += [str(item) for item in disagreeing]
     if following:
         notes.append(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
@@ -82,7 +96,7 @@ def left_over(
             f'what is left over on {", ".join(moving)} is no noise: the machine differs in more than '
             'the causes found, and their values are those that stand in for it best'
         )
-    return LeftOver(moving, following, different, tables_found, notes)
+    return LeftOver(moving, following, different, disagreeing, tables_found, notes)
 
 
 def _tables(

@@ -41,6 +41,7 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, plant
+from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.host import compact
@@ -153,7 +154,7 @@ class PlantBlock:
             together,
             record.reading,
             np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
-            _standing(variant, p, together),
+            _standing(machine.description, p, together),
             np.zeros(9),
             innovation,
         )
@@ -212,7 +213,7 @@ class PlantBlock:
         encoders.fill_readings(s, p)
 
 
-def _standing(variant: Variant, p: np.void, together: Array) -> NDArray[np.bool_]:
+def _standing(description: Description, p: np.void, together: Array) -> NDArray[np.bool_]:
     """Return which coordinates (n,) are those of an axis of which no position was logged."""
     measured = np.count_nonzero(together, axis=0) > 0
     standing = np.zeros(len(measured), np.bool_)
@@ -220,8 +221,8 @@ def _standing(variant: Variant, p: np.void, together: Array) -> NDArray[np.bool_
         own = [
             int(p[f'{what}_coordinate'][place])
             for what, having in (
-                ('axis', variant.description.axes),
-                ('motor', variant.description.motors),
+                ('axis', description.axes),
+                ('motor', description.motors),
             )
             if axis in having
         ]

@@ -82,7 +82,7 @@ CLOSE = (
 TUNING = tuple(np.geomspace(0.04, 3.0, 45))
 """Times its typical value at which a compliance is tried, 10 % apart."""
 
-SOFTLY = (0.9, 1.0, 1.1)
+SOFTLY = (0.78, 0.88, 1.0, 1.13, 1.28)
 """Times its value at which one is tried that is softer than all these."""
 
 COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)

@@ -4,7 +4,7 @@ Effects with a threshold: limits that change nothing until something reaches the
 
 Near its neutral value such an effect has no signature, and from a value that cuts off too much a
 Newton step leads back to where it does nothing. So it is tried on rungs between neutral (0) and
-more than typical (1), in a geometric scale,
+well beyond typical (1), in a geometric scale,
 
     value(u) = neutral (typical / neutral)^u,
 
@@ -27,17 +27,21 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_
 from waferbot_twin.diagnosis.jointly import fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 
-STEP, RUNGS = 0.125, 14
-"""How far rungs are apart, and how many there are."""
+STEP, RUNGS = 0.125, 22
+"""How far rungs are apart, and how many there are at most: less where a bound is reached before."""
 
 HALVINGS = 13
 """To 1/4000 of the way from neutral to typical at least; a fit does the rest."""
 
 
 def rungs(problem: Problem, cause: Cause) -> Iterator[Cause]:
-    """Give an effect with a threshold at every rung."""
+    """Give an effect with a threshold at every rung, up to the first that a bound cuts short."""
+    given = cause
     for number in range(RUNGS):
-        yield _at(problem, cause, STEP * (number + 1))
+        before, given = given, _at(problem, cause, STEP * (number + 1))
+        if given.values == before.values:
+            return
+        yield given
 
 
 def between_rungs(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:

@@ -36,8 +36,12 @@ from waferbot_twin.effects.effect import Effect, Parameter
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
 
-SOFT = tuple(np.geomspace(3.0, 20.0, 9).tolist())
-"""Times its typical value at which a compliance is tried: it rings below what `resonances` looks at."""
+GIVING = tuple(np.geomspace(0.5, 20.0, 8).tolist())
+"""
+Times its typical value at which a compliance is tried. A little of it says nothing of one that rings,
+but one that gives 30 % too much or too little still makes much of what the right one does; much stiffer
+ones make lines (`resonances`).
+"""
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
@@ -72,15 +76,15 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                 }
                 cause = Cause(effect, axis, values, held)
                 found += rungs(problem, cause) if effect.threshold else [cause]
-                found += _soft(parameters, cause) if effect.rings else []
+                found += _giving(parameters, cause) if effect.rings else []
     return found
 
 
-def _soft(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
-    """Give the compliance of what is held rigid where it is soft: a little of it says nothing."""
+def _giving(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
+    """Give the compliance of what is held rigid with values that are possible."""
     (item,) = parameters
     if item.neutral == 0.0:
-        for factor in SOFT:
+        for factor in GIVING:
             value = min(item.typical * factor, item.high)
             yield cause.with_values({item.name: value})
 

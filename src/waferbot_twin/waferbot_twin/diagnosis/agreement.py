@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Do the logs agree on the values of a cause? If not, it stands in for something else.
+
+A true cause has the same values in every log, whatever the motion. A false one that explains most of
+the logs (a centre of gravity off its axis, where in truth a constant force pulls) needs another value
+wherever the motion is another. So all parameters of the causes are fitted once more to each log by
+itself, linearly about the values found, with what they change in the noise-free log
+(`closed_loop_record`). With the change d_l and the covariance C_l of a cause's parameters in log l,
+
+    Q = sum over l of (d_l - m)' C_l^-1 (d_l - m),        m = (sum C_l^-1)^-1 sum C_l^-1 d_l,
+
+has for a true cause a chi-squared distribution, with k (L - 1) degrees of freedom for k parameters and
+L logs (fewer where a log says nothing of some of them).
+
+Limit: one log that is divided in two, or logs of motions alike, agree on false values, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import names_of
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
+from waferbot_twin.diagnosis.jointly import Signature, by_channel, side_by_side
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.search_state import Search
+from waferbot_twin.diagnosis.whitening import fit, whitened
+
+CHANCE = 1e-3
+"""Probability that the logs disagree as much on a true cause."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """
+    What a log wants of the parameters of a cause.
+
+    Their `change` (k,), the inverse of its covariance, `information` (k, k), and by axis what the log
+    would gain by it, in 2 ln L.
+    """
+
+    log: str
+    change: Array
+    information: Array
+    gained: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """A cause on whose values the logs disagree: on which `axes` that shows, and what each wants."""
+
+    cause: Cause
+    axes: tuple[str, ...]
+    chance: float
+    wanted: tuple[Wanted, ...]
+
+    def __str__(self) -> str:
+        """Say what each log wants, with standard errors."""
+        names = [name for name in self.cause.values if name not in self.cause.held]
+        each = []
+        for item in self.wanted:
+            errors = np.sqrt(np.diag(np.linalg.pinv(item.information)))
+            values = [
+                f'{name} {self.cause.values[name] + change:.4g} +- {error:.2g}'
+                for name, change, error in zip(names, item.change, errors, strict=True)
+                if error > 0.0
+            ]
+            each.append(f'{item.log} wants {", ".join(values)}')
+        return (
+            f'the logs disagree on {self.cause.name} (by chance {self.chance:.1g}), which may stand in '
+            f'for something else: {"; ".join(each)}'
+        )
+
+
+def disagreements(problem: Problem, judge: Problem, found: Search) -> list[Disagreement]:
+    """
+    Return the causes on whose values the logs disagree more than noise would let them.
+
+    None where a log does not have what was commanded, or the model's loop is unstable: then there
+    is no noise-free log to ask.
+    """
+    causes = found.found.causes
+    try:
+        in_finding, in_judging = by_log(problem, found.found), by_log(judge, found.judged)
+    except UserError:
+        return []
+    result = []
+    for cause, *wanted in zip(causes, in_finding, in_judging, strict=True):
+        every = [*wanted[0], *wanted[1]]
+        square, degrees = disagreement(every)
+        chance = float(chi2.sf(square, degrees)) if degrees else 1.0
+        if chance * len(causes) < CHANCE:
+            result.append(Disagreement(cause, _axes(cause, every), chance, tuple(every)))
+    return result
+
+
+def disagreement(wanted: Sequence[Wanted]) -> tuple[float, int]:
+    """Return Q and its degrees of freedom."""
+    if not wanted:
+        return 0.0, 0
+    total = np.sum([item.information for item in wanted], axis=0)
+    mean = np.linalg.pinv(total) @ np.sum([w.information @ w.change for w in wanted], axis=0)
+    square = sum(float((w.change - mean) @ w.information @ (w.change - mean)) for w in wanted)
+    ranks = [int(np.linalg.matrix_rank(item.information)) for item in wanted]
+    return square, sum(ranks) - int(np.linalg.matrix_rank(total))
+
+
+def _axes(cause: Cause, wanted: Sequence[Wanted]) -> tuple[str, ...]:
+    """Return the axis of a cause, and first that where the logs gain most if each has its own values."""
+    gained = {
+        axis: sum(item.gained.get(axis, 0.0) for item in wanted)
+        for axis in AXES
+        if any(axis in item.gained for item in wanted)
+    }
+    most = max(gained, key=lambda axis: gained[axis], default=cause.axis)
+    return tuple(dict.fromkeys([most, cause.axis]))
+
+
+def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
+    """
+    Return for every cause what each log wants of it, nothing of causes in exact blocks alone.
+
+    Raises `UserError` if the model's loop is unstable.
+    """
+    result: list[list[Wanted]] = [[] for _ in found.causes]
+    ideal = problem.ideal(found.causes)
+    if ideal is None or not found.causes:
+        return result
+    noise_free = evaluate(ideal, found.causes)
+    own = [signature(ideal, noise_free, found.causes, place) for place in range(len(found.causes))]
+    cause_of = np.array([place for place, _ in names_of(problem, found.causes)])
+    changes = side_by_side(own, [int(np.sum(cause_of == p)) for p in range(len(found.causes))])
+    for record in problem.records:
+        channels = list(_channels(problem, found, changes, record))
+        shows = np.any([np.any(one.matrix != 0.0, axis=0) for one in channels], axis=0)
+        if not np.any(shows):
+            continue
+        residuals = [one.residual for one in channels]
+        matrices = [one.matrix[:, shows] for one in channels]
+        estimate = fit(
+            residuals, matrices, [one.floor for one in channels], [one.order for one in channels]
+        )
+        white = [
+            whitened([one], [matrix], [taps], [deviation])
+            for one, matrix, taps, deviation in zip(
+                residuals, matrices, estimate.filters, estimate.deviations, strict=True
+            )
+        ]
+        for place, wanted in enumerate(result):
+            mine = cause_of[shows] == place
+            if not mine.any():
+                continue
+            known = shows[cause_of == place]
+            change, information = np.zeros(len(known)), np.zeros((len(known), len(known)))
+            change[known] = estimate.value[mine]
+            information[np.ix_(known, known)] = np.linalg.pinv(
+                estimate.covariance[np.ix_(mine, mine)]
+            )
+            gained: dict[str, float] = {}
+            for one, (rows, right) in zip(channels, white, strict=True):
+                left = right - rows[:, mine] @ estimate.value[mine]
+                gained[one.axis] = gained.get(one.axis, 0.0) + float(right @ right - left @ left)
+            wanted.append(Wanted(record.name, change, information, gained))
+    return result
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """A channel of one log: its residual, and what the parameters of all causes change in it."""
+
+    axis: str
+    residual: Array
+    matrix: Array
+    floor: float
+    order: int
+
+
+def _channels(
+    problem: Problem, found: Hypothesis, changes: Signature, record: Record
+) -> Iterator[_Channel]:
+    """Give the channels of a log in blocks with noise, in which any cause shows."""
+    for block, matrix in changes.items():
+        if block in problem.exact_blocks:
+            continue
+        every = zip(
+            (part.record for part in problem.blocks[block] for _ in part.channels),
+            problem.channel_names(block),
+            found.residuals[block],
+            by_channel(matrix, found.residuals[block]),
+            problem.floors(block),
+            problem.orders(block),
+            strict=True,
+        )
+        for own, name, residual, rows, floor, order in every:
+            if own is record:
+                axis = next(axis for axis in AXES if name.startswith(axis))
+                yield _Channel(axis, residual, rows, floor, order)
