@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis import withdrawal
+from waferbot_twin.diagnosis import rivalry, withdrawal
 from waferbot_twin.diagnosis.gain import AxisGain
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
@@ -97,8 +97,8 @@ def test_a_rival_that_wins_takes_the_place_of_a_cause_that_loses(monkeypatch):
         return [gain('x_rotate', BEFORE, (2.0 if loses else 0.5) * BEFORE)]
 
     monkeypatch.setattr(withdrawal, 'gains', gains)
-    monkeypatch.setattr(withdrawal, 'fit_causes', lambda problem, causes: hypothesis(*causes))
-    monkeypatch.setattr(withdrawal, 'evaluate', lambda problem, causes: hypothesis(*causes))
+    monkeypatch.setattr(rivalry, 'fit_causes', lambda problem, causes: hypothesis(*causes))
+    monkeypatch.setattr(rivalry, 'evaluate', lambda problem, causes: hypothesis(*causes))
     winning = withdrawal.that_wins(nominal, None, found, None, [], [])
     assert [cause.name for cause in winning.found.causes] == [right.name]
     assert winning.gains[right.name] == 40.0 - 9.0
@@ -122,7 +122,7 @@ def test_no_rival_is_fitted_if_what_was_found_wins(monkeypatch):
     def no_fit(*arguments):
         raise AssertionError('a rival was fitted')
 
-    monkeypatch.setattr(withdrawal, 'fit_causes', no_fit)
+    monkeypatch.setattr(rivalry, 'fit_causes', no_fit)
     monkeypatch.setattr(
         withdrawal, 'gains', lambda *rest: [gain('x_rotate', BEFORE, 0.5 * BEFORE)]
     )

@@ -28,6 +28,7 @@ from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
@@ -167,6 +168,8 @@ def diagnose(
         if len(other.found.causes) > len(found.found.causes):
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
+    if not far(found.found):
+        found = weighed_in_all_logs(problem, judge, found, progress)
     withdrawn: list[Cause] = []
     winning = that_wins(nominal, problem, found, judge, judging, notes)
     if winning is None:

@@ -42,8 +42,14 @@ from waferbot_twin.diagnosis.screening import (
     screen,
     signatures,
 )
-from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
-from waferbot_twin.diagnosis.shortlist import fit_best, fit_pairs
+from waferbot_twin.diagnosis.search_state import (
+    TELLS_APART,
+    Rival,
+    Score,
+    Search,
+    preferred,
+)
+from waferbot_twin.diagnosis.shortlist import fit_best, fit_last_bits, fit_pairs
 from waferbot_twin.diagnosis.together import (
     Together,
     far,
@@ -58,12 +64,6 @@ from waferbot_twin.effects.effect import Block, Effect
 
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
-
-STRONG = 6.0
-"""
-Difference in Schwarz' criterion from which on evidence is strong: R. E. Kass, A. E. Raftery, Bayes
-factors, Journal of the American Statistical Association 90 (1995).
-"""
 
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""
@@ -104,6 +104,7 @@ def search(
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress)
+        fitted += fit_last_bits(finding, judging, state, screened, fitted, progress)
         fitted += fit_pairs(finding, judging, state, screened, fitted, progress)
         taken = _take_best(finding, judging, state, fitted)
         fresh = not together and far(state.found) and not (taken and _in_controller(state.found))
@@ -300,21 +301,11 @@ def _take_best(
     confirmed = [item for item in fitted if item.confirmed]
     if not confirmed:
         return False
-    best = min(confirmed, key=lambda item: item.information_criterion)
-    least = best.log_likelihood - 0.5 * TELLS_APART
-    alike = [
-        item
+    scores = [
+        Score(item.information_criterion, item.log_likelihood, item.found.parameters)
         for item in confirmed
-        if item.information_criterion - best.information_criterion <= TELLS_APART
-        or item.log_likelihood > least
     ]
-    fewest = min(item.found.parameters for item in alike)
-
-    def cost(item: Fitted) -> float:
-        more = item.found.parameters > fewest
-        return item.information_criterion + (STRONG if more else 0.0)
-
-    taken = min(alike, key=cost)
+    taken = confirmed[preferred(scores)]
     taken = _released(finding, judging, taken)
     new = [cause.name for cause in taken.found.causes[len(state.found.causes) :]]
     state.gains |= dict.fromkeys(new, -_behind(taken.found, state.found))
@@ -331,6 +322,7 @@ def _rivals(taken: Fitted, fitted: Sequence[Fitted]) -> list[Rival]:
             item.found.causes[-1],
             item.information_criterion - taken.information_criterion,
             2.0 * (taken.log_likelihood - item.log_likelihood),
+            2.0 * (taken.found.log_likelihood - item.found.log_likelihood),
         )
         if item.confirmed or rival.behind >= 0.0:  # else it was refuted, however likely it is
             rivals.setdefault(rival.cause.name, rival)

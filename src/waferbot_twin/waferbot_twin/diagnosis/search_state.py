@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
@@ -11,19 +12,59 @@ from waferbot_twin.diagnosis.problem import Cause
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""
 
+STRONG = 6.0
+"""
+Difference in Schwarz' criterion from which on evidence is strong: R. E. Kass, A. E. Raftery, Bayes
+factors, Journal of the American Statistical Association 90 (1995).
+"""
 
-@dataclass
+
+@dataclass(frozen=True)
 class Rival:
     """
     What else was fitted in place of a cause.
 
     By how much it is `behind` in Schwarz' criterion, and by how much `less_likely`, 2 ln L, all logs
     together. One with more parameters may be far behind, and the logs cannot tell it all the same.
+    `in_finding` is by how much it is less likely in the logs that it was fitted to.
     """
 
     cause: Cause
     behind: float
     less_likely: float
+    in_finding: float = 0.0
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good a hypothesis is: Schwarz' criterion, ln L, and how many parameters it has."""
+
+    criterion: float
+    log_likelihood: float
+    parameters: int
+
+
+def preferred(scores: Sequence[Score]) -> int:
+    """
+    Return the place of the hypothesis to be taken.
+
+    The best by Schwarz' criterion; but of those that do about as well one that is not the simplest needs
+    strong evidence.
+    """
+    best = min(scores, key=lambda item: item.criterion)
+    alike = [
+        place
+        for place, item in enumerate(scores)
+        if item.criterion - best.criterion <= TELLS_APART
+        or 2.0 * (best.log_likelihood - item.log_likelihood) < TELLS_APART
+    ]
+    fewest = min(scores[place].parameters for place in alike)
+    return min(
+        alike,
+        key=lambda place: (
+            scores[place].criterion + (STRONG if scores[place].parameters > fewest else 0.0)
+        ),
+    )
 
 
 @dataclass

@@ -16,7 +16,8 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted, weighed
 from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.resonances import may_ring, tuned
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import Progress, Screened
@@ -110,6 +111,47 @@ def _as_promising(
     return list(found.values())[:FITTED]
 
 
+def fit_last_bits(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    screened: Sequence[Screened],
+    singles: Sequence[Fitted],
+    progress: Progress,
+) -> list[Fitted]:
+    """
+    Fit what changes nothing but a controller that plainly does something else, whatever it promised.
+
+    Only where nothing confirmed so far changes that: of single bits a linear estimate says little.
+    """
+    confirmed = [item.found for item in singles if item.confirmed]
+    best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
+    done = {item.found.causes[-1].name for item in singles}
+    new = () if best is state.found else _touched(finding, best.causes[-1])
+    if CONTROLLER not in finding.exact_blocks or CONTROLLER in new:
+        return []
+    left = finding.less_likely_than_nothing(CONTROLLER, best.residuals[CONTROLLER])
+    names = finding.channel_names(CONTROLLER)
+    plain = [name for name, value in zip(names, left, strict=True) if value > PLAIN]
+    chosen = {
+        item.cause.name: item
+        for item in reversed(screened)
+        if item.cause.name not in done
+        and acts_on_bits_alone(finding, item.cause)
+        and any(name.startswith(item.cause.axis) for name in plain)
+    }
+    found: list[Fitted] = []
+    for number, item in enumerate(chosen.values()):
+        progress(f'fitting {item.cause.name}', number, len(chosen))
+        one = _fit_one(finding, judging, state, item)
+        found += [one] if one else []
+    return found
+
+
+def _touched(problem: Problem, cause: Cause) -> tuple[str, ...]:
+    return problem.touched(cause.effect, cause.axis)
+
+
 def fit_pairs(
     finding: Problem,
     judging: Problem,
@@ -133,8 +175,8 @@ def fit_pairs(
             continue
         chosen: dict[str, Screened] = {}
         for item in screened:
-            touched = finding.touched(item.cause.effect, item.cause.axis)
-            if item.score > 0.0 and touched == (block,) and len(chosen) < PAIRED:
+            alone = _touched(finding, item.cause) == (block,)
+            if item.score > 0.0 and alone and len(chosen) < PAIRED:
                 chosen.setdefault(item.cause.name, item)
         pairs = [
             pair
@@ -194,7 +236,15 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     """Return a screened cause where its fit begins."""
     if item.cause.effect.threshold:
         return between_rungs(problem, base, item.cause)
-    (start,) = moved((item.cause,), names_of(problem, (item.cause,)), item.value)
+    names = names_of(problem, (item.cause,))
+
+    def times(size: float) -> Cause:
+        (cause,) = moved((item.cause,), names, size * item.value)
+        return cause
+
+    start = times(1.0)
+    if acts_on_bits_alone(problem, start):
+        return with_fewest_differences(problem, base, start, times)
     if may_ring(problem, start) and not far(base):
         return tuned(problem, base, start)
     return start

@@ -11,17 +11,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
+from waferbot_twin.diagnosis.rivalry import exchanged
+from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.effects.variant import Variant
 
 LOSES = 0.02
@@ -72,23 +70,10 @@ def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Se
         for rival in sorted(rivals, key=lambda item: item.less_likely):
             if rival.less_likely > TELLS_APART:
                 continue
-            causes = list(found.found.causes)
-            causes[place] = rival.cause
             try:
-                fitted = fit_causes(problem, tuple(causes))
-                judged = evaluate(judge, fitted.causes)
+                yield exchanged(problem, judge, found, place, rival)
             except UserError:
                 continue
-            others = [item for item in rivals if item is not rival]
-            instead = [Rival(cause, -rival.behind, -rival.less_likely), *others]
-            name = rival.cause.name
-            yield replace(
-                found,
-                found=fitted,
-                judged=judged,
-                gains={**found.gains, name: found.gains.get(cause.name, 0.0) - rival.behind},
-                rivals={**found.rivals, name: instead},
-            )
 
 
 def loses(axis_gains: Sequence[AxisGain]) -> bool:

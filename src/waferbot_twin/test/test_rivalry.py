@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rivals of a cause are weighed by fits to all logs together."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from waferbot_twin.diagnosis import rivalry
+from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.problem import Cause
+from waferbot_twin.diagnosis.search_state import Rival, Score, Search, preferred
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+
+SAMPLES = 10000
+PRICE = math.log(SAMPLES)
+
+
+@pytest.mark.parametrize(
+    ('scores', 'place'),
+    [
+        ([Score(0.0, 50.0, 1), Score(-20.0, 60.0, 1)], 1),
+        # as likely, but with a parameter more
+        ([Score(0.0, 50.0, 1), Score(9.0, 50.5, 2)], 0),
+        # better, but not by strong evidence
+        ([Score(0.0, 50.0, 1), Score(-5.0, 57.5, 2)], 0),
+        ([Score(0.0, 50.0, 1), Score(-7.0, 58.5, 2)], 1),
+        # the simple one is no longer alike
+        ([Score(0.0, 50.0, 1), Score(-12.0, 61.0, 2)], 1),
+    ],
+)
+def test_the_simplest_of_those_alike_is_preferred_unless_evidence_is_strong(scores, place):
+    assert preferred(scores) == place
+
+
+@pytest.fixture(scope='module')
+def causes():
+    nominal = Variant.of(load_model('rigid'))
+    return [
+        Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+        for name in ('coulomb_friction', 'viscous_friction', 'constant_force')
+    ]
+
+
+class World:
+    """Logs of which nobody knows more than how likely each cause makes them."""
+
+    def __init__(self, monkeypatch, in_all, in_judging):
+        self.fitted = []
+        self.in_all, self.in_judging = in_all, in_judging
+        monkeypatch.setattr(rivalry, 'Problem', lambda nominal, records: 'all')
+        monkeypatch.setattr(rivalry, 'fit_causes', self.fit)
+        monkeypatch.setattr(rivalry, 'evaluate', lambda problem, causes: self.judge(causes))
+
+    def fit(self, problem, causes):
+        if problem == 'all':
+            self.fitted.append(causes[0].name)
+        return hypothesis(causes, self.in_all[causes[0].name])
+
+    def judge(self, causes):
+        return hypothesis(causes, self.in_judging[causes[0].name] if causes else 0.0)
+
+    def search(self, own, *rivals):
+        found = Search(hypothesis([own], 0.0), self.judge([own]), None, None)
+        found.gains, found.rivals = {own.name: 100.0}, {own.name: list(rivals)}
+        logs = SimpleNamespace(nominal=None, records=())
+        return rivalry.weighed_in_all_logs(logs, logs, found, lambda *what: None)
+
+
+def hypothesis(causes, twice_ln_l):
+    fits = {'plant': SimpleNamespace(log_likelihood=0.5 * twice_ln_l, samples=SAMPLES)}
+    return Hypothesis(tuple(causes), {}, fits)
+
+
+def test_a_rival_that_only_had_a_bad_value_is_one_again(monkeypatch, causes):
+    own, rival, _ = causes
+    world = World(
+        monkeypatch,
+        {own.name: 900.0, rival.name: 897.0},
+        {own.name: 500.0, rival.name: 430.0},
+    )
+    found = world.search(own, Rival(rival, 77.0, 67.0, -3.0))
+    assert found.found.causes == (own,)
+    (weighed,) = found.rivals[own.name]
+    assert weighed.less_likely == pytest.approx(3.0)
+    assert weighed.behind == pytest.approx(3.0 + (rival.free - own.free) * PRICE)
+
+
+def test_what_is_far_worse_where_it_was_fitted_is_not_fitted_again(monkeypatch, causes):
+    own, rival, hopeless = causes
+    world = World(
+        monkeypatch, {own.name: 900.0, rival.name: 897.0}, dict.fromkeys([own.name], 5.0)
+    )
+    far_off = Rival(hopeless, 300.0, 300.0, 130.0)
+    found = world.search(own, Rival(rival, 9.0, 9.0, 4.0), far_off)
+    assert world.fitted == [own.name, rival.name]
+    assert far_off in found.rivals[own.name]
+
+
+@pytest.mark.parametrize(
+    ('in_judging', 'takes_over'), [(480.0, True), (400.0, True), (300.0, False)]
+)
+def test_a_better_one_takes_the_place_if_it_judges_not_much_worse(
+    monkeypatch, causes, in_judging, takes_over
+):
+    own, rival, _ = causes
+    world = World(
+        monkeypatch,
+        {own.name: 900.0, rival.name: 930.0},
+        {own.name: 500.0, rival.name: in_judging},
+    )
+    found = world.search(own, Rival(rival, 9.0, 9.0, 4.0))
+    if not takes_over:
+        assert found.found.causes == (own,)
+        return
+    assert found.found.causes[0].name == rival.name
+    (before,) = found.rivals[rival.name]
+    assert before.cause == own
+    assert before.less_likely == pytest.approx(30.0)
+    assert found.gains[rival.name] == pytest.approx(130.0)

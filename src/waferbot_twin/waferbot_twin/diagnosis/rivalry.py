@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rivals of a cause: what could stand in its place, and how well it would explain all logs.
+
+Logs for finding may tell little of a parameter (the speed at which a friction falls, where an axis
+hardly moves slowly); its value from there then suits the logs for judging badly, and the rival seems far
+less likely than it is. So what does about as well in the logs for finding is fitted once more, to all
+logs together, and so is what was found. That decides the name and what cannot be told from it; values
+and gain stay those of the division into logs for finding and for judging.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import Problem
+from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.search_state import (
+    TELLS_APART,
+    Rival,
+    Score,
+    Search,
+    preferred,
+)
+
+CLOSE = 2.0 * TELLS_APART
+"""Difference in 2 ln L, in the logs for finding, up to which a rival is worth a fit to all logs."""
+
+MOST_RIVALS = 4
+"""How many rivals of a cause are fitted to all logs."""
+
+LOST = 0.3
+"""
+Share of what a cause gains in the logs for judging that a rival in its place may lose there, with values
+that the logs for finding tell badly.
+"""
+
+
+def weighed_in_all_logs(
+    problem: Problem, judge: Problem, found: Search, progress: Progress
+) -> Search:
+    """
+    Return a search whose rivals are weighed by fits to all logs together.
+
+    A cause gives way to a rival that is better so, if with the values from the logs for finding that
+    explains those for judging, too, not much worse at least.
+    """
+    every: Problem | None = None
+    for cause in found.found.causes:
+        close = _close(found, cause.name)
+        if not close:
+            continue
+        every = every or Problem(problem.nominal, (*problem.records, *judge.records))
+        place = [item.name for item in found.found.causes].index(cause.name)
+        for number, rival in enumerate(close):
+            progress(f'weighing {rival.cause.name}', number, len(close))
+        found = _weighed(every, problem, judge, found, place, close)
+    return found
+
+
+def _close(found: Search, name: str) -> list[Rival]:
+    """Return the rivals of a cause that do about as well in the logs for finding, the best first."""
+    rivals = [item for item in found.rivals.get(name, []) if item.in_finding < CLOSE]
+    return sorted(rivals, key=lambda item: item.in_finding)[:MOST_RIVALS]
+
+
+def _weighed(
+    every: Problem,
+    problem: Problem,
+    judge: Problem,
+    found: Search,
+    place: int,
+    close: list[Rival],
+) -> Search:
+    """Return the search with the close rivals of one cause weighed, and with the best in its place."""
+    causes = found.found.causes
+    own = causes[place]
+    try:
+        present = fit_causes(every, causes)
+    except UserError:
+        return found
+    others = [item for item in found.rivals[own.name] if item not in close]
+    scores = [Score(present.information_criterion, present.log_likelihood, present.parameters)]
+    rivals = []
+    for rival in close:
+        try:
+            fitted = fit_causes(every, (*causes[:place], rival.cause, *causes[place + 1 :]))
+        except UserError:
+            others.append(rival)
+            continue
+        rivals.append(
+            replace(
+                rival,
+                behind=fitted.information_criterion - present.information_criterion,
+                less_likely=2.0 * (present.log_likelihood - fitted.log_likelihood),
+            )
+        )
+        scores.append(
+            Score(fitted.information_criterion, fitted.log_likelihood, fitted.parameters)
+        )
+    found = replace(found, rivals={**found.rivals, own.name: [*rivals, *others]})
+    best = preferred(scores)
+    if best == 0:
+        return found
+    try:
+        instead = exchanged(problem, judge, found, place, rivals[best - 1])
+        without = evaluate(judge, (*causes[:place], *causes[place + 1 :]))
+    except UserError:
+        return found
+    gained = 2.0 * (found.judged.log_likelihood - without.log_likelihood)
+    lost = 2.0 * (found.judged.log_likelihood - instead.judged.log_likelihood)
+    return found if lost > max(TELLS_APART, LOST * gained) else instead
+
+
+def exchanged(problem: Problem, judge: Problem, found: Search, place: int, rival: Rival) -> Search:
+    """
+    Return the search with a rival in place of a cause, fitted to the logs for finding.
+
+    Raises `UserError` if the machine blows up with it.
+    """
+    causes = list(found.found.causes)
+    cause, causes[place] = causes[place], rival.cause
+    fitted = fit_causes(problem, tuple(causes))
+    judged = evaluate(judge, fitted.causes)
+    others = [
+        Rival(
+            item.cause,
+            item.behind - rival.behind,
+            item.less_likely - rival.less_likely,
+            item.in_finding - rival.in_finding,
+        )
+        for item in found.rivals.get(cause.name, [])
+        if item is not rival
+    ]
+    instead = [Rival(cause, -rival.behind, -rival.less_likely, -rival.in_finding), *others]
+    name = rival.cause.name
+    return replace(
+        found,
+        found=fitted,
+        judged=judged,
+        gains={**found.gains, name: found.gains.get(cause.name, 0.0) - rival.behind},
+        rivals={**found.rivals, name: instead},
+    )
