@@ -26,7 +26,7 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 
 import waferbot_msgs.msg
-from waferbot_lockstep.contract import LOCKSTEP_TOPICS
+from waferbot_lockstep.contract import LOCKSTEP_TOPICS, STOP_TOPIC
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.recording.reader import read_recording
 
@@ -344,6 +344,29 @@ def test_an_interrupted_node_ends_the_others_without_error(start, domain, number
     for program in nodes.values():
         assert program.wait(20) == 0, program.output
         assert 'Traceback' not in program.output
+
+
+def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
+    """Who was still being discovered when the first one was sent hears it so."""
+    client = connect(domain)
+    heard = []
+    client.node.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, heard.append, 50)
+    publisher = client.node.create_publisher(waferbot_msgs.msg.Stop, STOP_TOPIC, 50)
+    plant = start_node(start, 'plant', domain)
+    client.spin_until(
+        lambda: (
+            publisher.get_subscription_count() >= 2
+            and client.node.count_publishers(STOP_TOPIC) >= 2
+        ),
+        'the plant on the topic of stops',
+    )
+    time.sleep(0.5)  # the other ends know of each other, too
+    publisher.publish(
+        waferbot_msgs.msg.Stop(tick=7, node='/pmac', reason='interrupted by the user')
+    )
+    client.spin_until(lambda: len(heard) >= 3, 'the stop, its own once and those of the plant')
+    assert {(stop.node, stop.tick) for stop in heard} == {('/pmac', 7)}
+    assert plant.wait(20) == 0, plant.output
 
 
 def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, recorded, tmp_path):
