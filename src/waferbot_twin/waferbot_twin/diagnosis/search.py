@@ -11,8 +11,9 @@ From residuals to causes.
        2 (ln L_1 - ln L_0) > k ln N + 4 ln M,
 
    and if the logs kept for judging, with another motion, become more likely too.
-4. Again from 1 until nothing is taken. If what is left of the plant is far too large for noise,
-   everything usual is fitted together once (`together`), and the search goes on from there. Then each
+4. Again from 1 until nothing is taken. If what is left of the plant is far too large for noise, and
+   the cause taken does not change that where it changes most, everything usual is fitted together
+   once (`together`), and the search goes on from there. Then each
    cause is taken out in turn, to see whether the others can do without it, and chosen again beside
    those that may have bent it.
 
@@ -33,7 +34,7 @@ from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import fit_causes, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
 from waferbot_twin.diagnosis.jointly import Signature
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.resonances import screen_lines
 from waferbot_twin.diagnosis.screening import (
     Progress,
@@ -53,6 +54,7 @@ from waferbot_twin.diagnosis.shortlist import fit_best, fit_last_bits, fit_pairs
 from waferbot_twin.diagnosis.together import (
     Together,
     far,
+    far_channels,
     fit_together,
     gain_from_afar,
     price_of,
@@ -60,7 +62,7 @@ from waferbot_twin.diagnosis.together import (
     usual_causes,
 )
 from waferbot_twin.diagnosis.tones import at_tones
-from waferbot_twin.effects.effect import Block, Effect
+from waferbot_twin.effects.effect import Effect
 
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
@@ -101,13 +103,15 @@ def search(
     known = signatures(finding, nothing, every, workers, progress)
     together = False
     for _ in range(MOST_ROUNDS):
+        before = state.found
         screened = _screen_round(finding, state.found, every, known, workers, progress)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress)
         fitted += fit_last_bits(finding, judging, state, screened, fitted, progress)
         fitted += fit_pairs(finding, judging, state, screened, fitted, progress)
         taken = _take_best(finding, judging, state, fitted)
-        fresh = not together and far(state.found) and not (taken and _in_controller(state.found))
+        stands_in = not taken or _leaves_far(before, state.found)
+        fresh = not together and far(state.found) and stands_in
         if fresh:
             together = True
             _take_together(finding, judging, state, effects, progress, workers)
@@ -122,9 +126,17 @@ def search(
     return state
 
 
-def _in_controller(found: Hypothesis) -> bool:
-    """Return whether the last cause is one in the controller."""
-    return bool(found.causes) and found.causes[-1].effect.block is Block.CONTROLLER
+def _leaves_far(before: Hypothesis, found: Hypothesis) -> bool:
+    """
+    Return whether what was taken last leaves the channel far from the machine that it changes most.
+
+    Then it stands in for others there. A cause in the drive or the controller changes none.
+    """
+    if PLANT not in found.fits:
+        return False
+    changes = np.log(np.divide(before.fits[PLANT].deviations, found.fits[PLANT].deviations))
+    most = int(np.argmax(changes))
+    return changes[most] > 0.0 and far_channels(before)[most] and far_channels(found)[most]
 
 
 def _take_together(
