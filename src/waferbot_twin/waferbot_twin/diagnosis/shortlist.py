@@ -235,7 +235,8 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
 def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     """Return a screened cause where its fit begins."""
     if item.cause.effect.threshold:
-        return between_rungs(problem, base, item.cause)
+        tried = (between_rungs(problem, base, item.cause), item.cause)
+        return max(tried, key=lambda c: evaluate(problem, (*base.causes, c)).log_likelihood)
     names = names_of(problem, (item.cause,))
 
     def times(size: float) -> Cause:

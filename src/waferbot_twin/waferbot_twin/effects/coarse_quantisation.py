@@ -27,12 +27,16 @@ def with_steps(steps: Mapping[str, float]) -> Effect:
     def trials(variant: Variant, axis: str) -> tuple[Values, ...]:
         return ({'step': steps[axis]},)
 
-    return replace(EFFECT, axes=lambda variant: tuple(steps), trials=trials)
+    return replace(EFFECT, axes=lambda variant: tuple(steps), trials=trials, evident=True)
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     own = sensors.of_axis(variant.base, axis).errors.coarseness
-    return (Parameter('step', 'counts', own, 16.0 * own, 1.0, 4096.0 * own, 'what is seen'),)
+    return (
+        Parameter(
+            'step', 'counts', own, 16.0 * own, 1.0, 4096.0 * own, 'what is seen', resolution=own
+        ),
+    )
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:

@@ -82,8 +82,9 @@ class Effect:
     while it is small: its signature must be sought at typical values, not near the neutral ones. A
     little of one that `rings` makes the machine ring, the higher the less there is of it. `tone` is
     the shape parameter that is a frequency, if the effect is there at this one and nowhere else. Of a
-    `usual` one every machine has some: where a model is far off, it is likely among what lacks. Where
-    one is not `distinct` in a model, the effect `same_as` does exactly the same and stands for it.
+    `usual` one every machine has some: where a model is far off, it is likely among what lacks. One that
+    is `evident` stands in the readings themselves, and no noise feigns it. Where one is not `distinct`
+    in a model, the effect `same_as` does exactly the same and stands for it.
     """
 
     name: str
@@ -97,6 +98,7 @@ class Effect:
     threshold: bool = False
     usual: bool = False
     rings: bool = False
+    evident: bool = False
     tone: str = ''
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always
