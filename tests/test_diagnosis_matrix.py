@@ -88,6 +88,16 @@ def test_sizes_differ_in_nothing_but_the_size(rigid):
         assert three.key != ten.key
 
 
+def test_without_a_size_effects_are_as_large_as_they_typically_are(rigid):
+    effect = find('coulomb_friction')
+    typical = effect.typical(rigid, 'x_rotate')['friction']
+    for number in range(3):
+        case = Case('typical', ('coulomb_friction:x_rotate',), number, 9)
+        (hidden,), (size,) = trial._sized(case, draw(case, rigid), 'rigid')
+        assert 0.5 * typical <= hidden.values['friction'] <= 1.5 * typical
+        assert size > 10.0
+
+
 def test_all_effects_come_once_before_one_comes_again(rigid):
     names = pairs(rigid)
     order = [

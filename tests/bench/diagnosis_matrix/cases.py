@@ -26,11 +26,15 @@ SINGLE, NOTHING, TWO, UNKNOWN = 'single', 'nothing', 'two', 'unknown'
 
 @dataclass(frozen=True)
 class Group:
-    """Cases that are counted together: their kind, their size, how many are in the full matrix."""
+    """
+    Cases that are counted together: their kind, their size, how many are in the full matrix.
+
+    Without a size effects are as large as they typically are, by half more or less.
+    """
 
     name: str
     kind: str
-    size: float
+    size: float | None
     cases: int
 
 
@@ -40,6 +44,7 @@ GROUPS = {
         Group('single-10', SINGLE, 10.0, 304),
         Group('single-3', SINGLE, 3.0, 304),
         Group('single-1', SINGLE, 1.0, 152),
+        Group('typical', SINGLE, None, 152),
         Group('nothing', NOTHING, 0.0, 304),
         Group('two', TWO, 5.0, 152),
         Group('unknown', UNKNOWN, 10.0, 152),

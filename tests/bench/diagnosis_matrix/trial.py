@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,9 @@ LEFT_OUT, CRASHED = 'left out', 'crashed'
 
 LARGEST_STEP = 2.0
 """Where an effect comes in steps, most that its size may exceed a small one that is wanted."""
+
+LARGE = 5.0
+"""Size wanted from which on the smallest step that is enough is taken, however large that is."""
 
 LEAST_IMPROVEMENT = 0.02
 """Share of the RMS error that the true model must win for the gain to be compared with."""
@@ -191,12 +194,24 @@ def _sized(case: Case, drawn: Drawn, model: str) -> tuple[list[Cause], list[floa
             records = logs(variant, model, drawn.noise, drawn.finding)
             return size(Problem(nominal(model), records), [cause])
 
-        scale, found = scale_of_size(size_at, wanted, direction.largest_scale)
-        if found > wanted * max(CLOSE, LARGEST_STEP) and wanted < GROUPS['two'].size:
-            raise OutOfReach(f'{name}: the smallest step that is seen has size {found:.3g}')
+        if wanted is None:
+            scale = min(1.0, direction.largest_scale)
+            found = _possible(name, size_at, scale)
+        else:
+            scale, found = scale_of_size(size_at, wanted, direction.largest_scale)
+            if wanted < LARGE and found > wanted * max(CLOSE, LARGEST_STEP):
+                raise OutOfReach(f'{name}: the smallest step that is seen has size {found:.3g}')
         hidden.append(at(scale))
         sizes.append(found)
     return hidden, sizes
+
+
+def _possible(name: str, size_at: Callable[[float], float], scale: float) -> float:
+    """Return the size of an effect at a scale; raises `OutOfReach` where the machine does not run."""
+    try:
+        return size_at(scale)
+    except UserError as error:
+        raise OutOfReach(f'{name}: {error}') from error
 
 
 def _through_files(
