@@ -21,6 +21,9 @@ from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_al
 SIZES = tuple(np.geomspace(0.2, 40.0, 533))
 """Times the linear estimate at which a cause is tried, 1 % apart: a few bits fit only so much."""
 
+FEW = 0.5
+"""Share of a controller's cycles that differ from which on a fit finds its way by itself."""
+
 
 def acts_on_bits_alone(problem: Problem, cause: Cause) -> bool:
     """Return whether a cause changes nothing but the controller, which calculates in whole numbers."""
@@ -34,10 +37,18 @@ def with_fewest_differences(
     Return a cause in the size in which the fewest cycles differ beside the causes of `base`.
 
     `times` gives the cause in a size that is so many times the estimate. It is returned as it starts
-    where that is no better.
+    where none is better, or where more than `FEW` of the axis' cycles differ without it.
 
     Raises `UserError` if the simulation blows up.
     """
+    names = problem.channel_names(CONTROLLER)
+    of_axis = [
+        channel != 0.0
+        for name, channel in zip(names, base.residuals[CONTROLLER], strict=True)
+        if name.startswith(start.axis)
+    ]
+    if not of_axis or np.mean(np.concatenate(of_axis)) > FEW:
+        return start
     fewest, best = _differing(problem, base, start), start
     for size in SIZES if fewest else ():
         tried = times(size)
