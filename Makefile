@@ -11,6 +11,7 @@ SHARED_FILES := $(shell find src -path '*/config/*' -o -path '*/launch/*' -o -pa
 # A ROS 2 installation that happens to be sourced must not be mixed with the wheels.
 CLEAN_ENVIRONMENT := env -u AMENT_PREFIX_PATH -u CMAKE_PREFIX_PATH -u COLCON_PREFIX_PATH -u PYTHONPATH -u LD_LIBRARY_PATH
 RUN := ./waferbot --exec
+SIDE_BY_SIDE := --numprocesses auto --dist loadfile
 
 .PHONY: help build demo test test-fast lint bench bench-diagnosis clean
 
@@ -48,11 +49,14 @@ lint: build
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 
+# Tests of the packages run on all cores; those of whole runs over ROS one after another.
 test: lint
-	$(RUN) pytest
+	$(RUN) pytest $(SIDE_BY_SIDE) src
+	$(RUN) pytest tests
 
 test-fast: lint
-	$(RUN) pytest -m 'not slow'
+	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) src
+	$(RUN) pytest -m 'not slow' tests
 
 bench: build
 	$(RUN) python tests/bench/bench_engines.py
