@@ -235,6 +235,7 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
 def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     """Return a screened cause where its fit begins."""
     if item.cause.effect.threshold:
+        # One that rings as well may be right on its rung, and halving would lead away from there.
         tried = (between_rungs(problem, base, item.cause), item.cause)
         return max(tried, key=lambda c: evaluate(problem, (*base.causes, c)).log_likelihood)
     names = names_of(problem, (item.cause,))
@@ -244,7 +245,7 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
         return cause
 
     start = times(1.0)
-    if acts_on_bits_alone(problem, start):
+    if item.value.any() and acts_on_bits_alone(problem, start):
         return with_fewest_differences(problem, base, start, times)
     if may_ring(problem, start) and not far(base):
         return tuned(problem, base, start)
