@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause
+from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause
 from waferbot_twin.diagnosis.screening import Screened
 from waferbot_twin.diagnosis.search import _revise, _take_best
 from waferbot_twin.diagnosis.search_state import Search
@@ -157,3 +158,30 @@ def test_causes_that_do_not_bend_each_other_are_not_chosen_again(monkeypatch):
     _revise(world, world, state, world.every, [], 1, lambda *rest: None)
     assert not world.asked
     assert state.found is both
+
+
+def test_what_stood_in_for_the_usual_is_not_kept_beside_it(monkeypatch):
+    nominal = Variant.of(load_model('rigid'))
+    scale, bias, friction = (
+        Cause(find(name), 'y_linear', find(name).typical(nominal, 'y_linear'))
+        for name in ('encoder_scale', 'wrong_bias', 'coulomb_friction')
+    )
+    assert friction.effect.usual
+    assert not scale.effect.usual
+    tried = []
+
+    def fit_together(finding, judging, causes, *rest):
+        tried.extend(causes)
+        raise UserError('enough')
+
+    def touched(effect, axis):
+        return (CONTROLLER,) if effect is bias.effect else (PLANT,)
+
+    monkeypatch.setattr(search, 'fit_together', fit_together)
+    monkeypatch.setattr(search, 'usual_causes', lambda *rest: ())
+    found = Hypothesis((scale, bias, friction), {}, {})
+    state = Search(found, found, found, found)
+    finding = SimpleNamespace(touched=touched)
+    search._take_together(finding, finding, state, [], lambda *told: None, 1)
+    assert tried == [bias, friction]
+    assert state.found is found

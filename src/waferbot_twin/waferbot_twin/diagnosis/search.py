@@ -147,8 +147,17 @@ def _take_together(
     progress: Progress,
     workers: int,
 ) -> None:
-    """Fit all usual effects beside what was found; keep what is needed if the logs agree."""
-    causes = (*state.found.causes, *usual_causes(finding, effects, state.found.causes))
+    """
+    Fit all usual effects beside what was found; keep what is needed if the logs agree.
+
+    An unusual cause of the plant's motion that was found while all these lacked stood in for them.
+    """
+    kept = tuple(
+        cause
+        for cause in state.found.causes
+        if cause.effect.usual or PLANT not in finding.touched(cause.effect, cause.axis)
+    )
+    causes = (*kept, *usual_causes(finding, effects, kept))
     try:
         result = fit_together(finding, judging, causes, state.tried, progress, workers)
         gained = gain_from_afar(finding, state.found, result.found)
