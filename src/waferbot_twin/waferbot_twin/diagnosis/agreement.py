@@ -29,7 +29,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
 from waferbot_twin.diagnosis.jointly import Signature, by_channel, side_by_side
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.problem import Cause, Channel, Problem
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit, whitened
@@ -146,7 +146,10 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
         residuals = [one.residual for one in channels]
         matrices = [one.matrix[:, shows] for one in channels]
         estimate = fit(
-            residuals, matrices, [one.floor for one in channels], [one.order for one in channels]
+            residuals,
+            matrices,
+            [one.channel.floor for one in channels],
+            [one.channel.order for one in channels],
         )
         white = [
             whitened([one], [matrix], [taps], [deviation])
@@ -167,39 +170,30 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
             gained: dict[str, float] = {}
             for one, (rows, right) in zip(channels, white, strict=True):
                 left = right - rows[:, mine] @ estimate.value[mine]
-                gained[one.axis] = gained.get(one.axis, 0.0) + float(right @ right - left @ left)
+                axis = one.channel.axis
+                gained[axis] = gained.get(axis, 0.0) + float(right @ right - left @ left)
             wanted.append(Wanted(record.name, change, information, gained))
     return result
 
 
 @dataclass(frozen=True)
-class _Channel:
+class _Shown:
     """A channel of one log: its residual, and what the parameters of all causes change in it."""
 
-    axis: str
+    channel: Channel
     residual: Array
     matrix: Array
-    floor: float
-    order: int
 
 
 def _channels(
     problem: Problem, found: Hypothesis, changes: Signature, record: Record
-) -> Iterator[_Channel]:
+) -> Iterator[_Shown]:
     """Give the channels of a log in blocks with noise, in which any cause shows."""
     for block, matrix in changes.items():
         if block in problem.exact_blocks:
             continue
-        every = zip(
-            (part.record for part in problem.blocks[block] for _ in part.channels),
-            problem.channel_names(block),
-            found.residuals[block],
-            by_channel(matrix, found.residuals[block]),
-            problem.floors(block),
-            problem.orders(block),
-            strict=True,
-        )
-        for own, name, residual, rows, floor, order in every:
-            if own is record:
-                axis = next(axis for axis in AXES if name.startswith(axis))
-                yield _Channel(axis, residual, rows, floor, order)
+        residuals = found.residuals[block]
+        every = zip(problem.channels(block), residuals, by_channel(matrix, residuals), strict=True)
+        for channel, residual, rows in every:
+            if channel.log.record is record:
+                yield _Shown(channel, residual, rows)

@@ -63,11 +63,10 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
         both.append((logs, hypothesis, {id(one): other for one, other in pairs}))
     axes: list[str] = []
     for block in BLOCKS:
-        for channel in dict.fromkeys(problem.channel_names(block)):
-            axis = next(name for name in AXES if channel.startswith(name))
+        for name, axis in {item.name: item.axis for item in problem.channels(block)}.items():
             if axis in axes:
                 continue
-            each = [_gained(*one, block, channel, axis) for one in both]
+            each = [_gained(*one, block, name) for one in both]
             regressors = sum(count for _, count in each)
             if regressors and sum(gain for gain, _ in each) > chi2.isf(CHANCE, regressors):
                 axes.append(axis)
@@ -79,26 +78,18 @@ def _gained(
     hypothesis: Hypothesis,
     ideal: Mapping[int, Record],
     block: str,
-    channel: str,
-    axis: str,
+    name: str,
 ) -> tuple[float, int]:
     """Return what a channel gains in 2 ln L by the regressors, and how many of these there are."""
-    every = zip(
-        (part for part in problem.blocks[block] for _ in part.channels),
-        problem.channel_names(block),
-        hypothesis.residuals[block],
-        problem.floors(block),
-        problem.orders(block),
-        strict=True,
-    )
-    own = [
-        (residual, _regressors(ideal[id(part.record)], part.times_s(name), axis), floor, order)
-        for part, name, residual, floor, order in every
-        if name == channel
-    ]
+    every = zip(problem.channels(block), hypothesis.residuals[block], strict=True)
+    own = [(channel, residual) for channel, residual in every if channel.name == name]
     if not own:
         return 0.0, 0
-    left, matrices, floors, orders = (list(items) for items in zip(*own, strict=True))
+    channels, left = zip(*own, strict=True)
+    matrices = [
+        _regressors(ideal[id(one.log.record)], one.log.times_s(name), one.axis) for one in channels
+    ]
+    floors, orders = [one.floor for one in channels], [one.order for one in channels]
     moves = np.any([np.any(matrix != 0.0, axis=0) for matrix in matrices], axis=0)
     with_them, without = (
         fit(left, [matrix[:, columns] for matrix in matrices], floors, orders).log_likelihood

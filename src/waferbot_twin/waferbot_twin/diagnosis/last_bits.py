@@ -2,11 +2,11 @@
 """
 Causes that change single bits of the controller's output, which follows from its input to the last bit.
 
-A filter of a thousandth of a cycle in a controller changes its output by a bit in one cycle of twenty,
-and a little less of it changes nothing: the likelihood has no slope there, and a linear estimate is off
-by its own size. But the share of cycles whose output is another falls towards the right value, and is
-zero there. So along the direction of the estimate the size with the fewest differing cycles is taken,
-and there a fit begins.
+A filter of a third of a thousandth of a cycle in a controller changes its output by a bit in one cycle
+of twenty, and a little less of it changes nothing: the likelihood has no slope there, and a linear
+estimate is off by its own size. But the share of cycles whose output is another falls towards the right
+value, and is zero there. So along the direction of the estimate the size with the fewest differing
+cycles is taken, and there a fit begins.
 """
 
 from __future__ import annotations
@@ -41,12 +41,8 @@ def with_fewest_differences(
 
     Raises `UserError` if the simulation blows up.
     """
-    names = problem.channel_names(CONTROLLER)
-    of_axis = [
-        channel != 0.0
-        for name, channel in zip(names, base.residuals[CONTROLLER], strict=True)
-        if name.startswith(start.axis)
-    ]
+    every = zip(problem.channels(CONTROLLER), base.residuals[CONTROLLER], strict=True)
+    of_axis = [residual != 0.0 for channel, residual in every if channel.axis == start.axis]
     if not of_axis or np.mean(np.concatenate(of_axis)) > FEW:
         return start
     fewest, best = _differing(problem, base, start), start

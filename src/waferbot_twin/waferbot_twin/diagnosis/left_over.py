@@ -163,7 +163,6 @@ def _less_likely_by_axis(problem: Problem, block: str, hypothesis: Hypothesis) -
     found: dict[str, float] = {}
     if block in hypothesis.residuals:
         values = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
-        for name, value in zip(problem.channel_names(block), values, strict=True):
-            axis, _, _ = name.partition(' ')
-            found[axis] = found.get(axis, 0.0) + value
+        for channel, value in zip(problem.channels(block), values, strict=True):
+            found[channel.axis] = found.get(channel.axis, 0.0) + value
     return found

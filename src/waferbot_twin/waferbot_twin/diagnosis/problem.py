@@ -10,6 +10,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from waferbot_lockstep.contract import AXES
 from waferbot_twin.diagnosis.closed_loop_record import simulate
 from waferbot_twin.diagnosis.controller_block import ControllerBlock
 from waferbot_twin.diagnosis.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
@@ -45,6 +46,21 @@ class BlockOfLog(Protocol):
 
     def times_s(self, channel: str) -> Array:
         """Return the time of every sample of a channel's residual, s from the log's beginning."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a block in one log: its floor, and the order that whitens it."""
+
+    log: BlockOfLog
+    name: str
+    floor: float
+    order: int
+
+    @property
+    def axis(self) -> str:
+        """The axis that it tells of."""
+        return next(axis for axis in AXES if self.name.startswith(axis))
 
 
 @dataclass(frozen=True)
@@ -158,16 +174,23 @@ class Problem:
         other.whitens = False
         return other
 
+    def channels(self, block: str) -> list[Channel]:
+        """Return every channel of a block, log by log."""
+        return [
+            Channel(log, name, floor, log.order)
+            if self.whitens
+            else Channel(log, name, ROUGH * floor, 0)
+            for log in self.blocks[block]
+            for name, floor in zip(log.channels, log.floors, strict=True)
+        ]
+
     def floors(self, block: str) -> list[float]:
         """Return the smallest deviation of every channel of a block."""
-        factor = 1.0 if self.whitens else ROUGH
-        return [factor * floor for part in self.blocks[block] for floor in part.floors]
+        return [channel.floor for channel in self.channels(block)]
 
     def orders(self, block: str) -> list[int]:
         """Return the order of the autoregression that whitens every channel of a block."""
-        if not self.whitens:
-            return [0] * len(self.floors(block))
-        return [part.order for part in self.blocks[block] for _ in part.floors]
+        return [channel.order for channel in self.channels(block)]
 
     @property
     def exact_blocks(self) -> list[str]:
@@ -179,11 +202,11 @@ class Problem:
     def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> list[float]:
         """Return by how much, in 2 ln L, each channel is less likely than one with nothing left over."""
         found = []
-        for residual, floor, order in zip(
-            residuals, self.floors(block), self.orders(block), strict=True
-        ):
+        for channel, residual in zip(self.channels(block), residuals, strict=True):
             there, none = (
-                fit([one], [np.zeros((len(one), 0))], [floor], [order]).log_likelihood
+                fit(
+                    [one], [np.zeros((len(one), 0))], [channel.floor], [channel.order]
+                ).log_likelihood
                 for one in (residual, np.zeros_like(residual))
             )
             found.append(2.0 * (none - there))
@@ -197,7 +220,7 @@ class Problem:
 
     def channel_names(self, block: str) -> list[str]:
         """Return the name of every channel of a block, log by log."""
-        return [name for part in self.blocks[block] for name in part.channels]
+        return [channel.name for channel in self.channels(block)]
 
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block."""

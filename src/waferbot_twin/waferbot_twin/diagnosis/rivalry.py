@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes
-from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search_state import (
@@ -49,15 +49,19 @@ def weighed_in_all_logs(
     explains those for judging, too, not much worse at least.
     """
     every: Problem | None = None
-    for cause in found.found.causes:
+    weighed: Hypothesis | None = None
+    for place, cause in enumerate(found.found.causes):
         close = _close(found, cause.name)
         if not close:
             continue
         every = every or Problem(problem.nominal, (*problem.records, *judge.records))
-        place = [item.name for item in found.found.causes].index(cause.name)
-        for number, rival in enumerate(close):
-            progress(f'weighing {rival.cause.name}', number, len(close))
-        found = _weighed(every, problem, judge, found, place, close)
+        progress(f'weighing rivals of {cause.name}', place, len(found.found.causes))
+        try:
+            if weighed is not found.found:
+                weighed, present = found.found, fit_causes(every, found.found.causes)
+        except UserError:
+            return found
+        found = _weighed(every, present, problem, judge, found, place, close)
     return found
 
 
@@ -69,19 +73,20 @@ def _close(found: Search, name: str) -> list[Rival]:
 
 def _weighed(
     every: Problem,
+    present: Hypothesis,
     problem: Problem,
     judge: Problem,
     found: Search,
     place: int,
     close: list[Rival],
 ) -> Search:
-    """Return the search with the close rivals of one cause weighed, and with the best in its place."""
+    """
+    Return the search with the close rivals of one cause weighed, and with the best in its place.
+
+    `present` has the causes found, fitted to all logs.
+    """
     causes = found.found.causes
     own = causes[place]
-    try:
-        present = fit_causes(every, causes)
-    except UserError:
-        return found
     others = [item for item in found.rivals[own.name] if item not in close]
     scores = [Score(present.information_criterion, present.log_likelihood, present.parameters)]
     rivals = []

@@ -30,8 +30,8 @@ from waferbot_twin.diagnosis.problem import Cause, Problem
 STEP, RUNGS = 0.125, 22
 """How far rungs are apart, and how many there are at most: less where a bound is reached before."""
 
-HALVINGS = 13
-"""To 1/4000 of the way from neutral to typical at least; a fit does the rest."""
+HALVINGS = 14
+"""To 1/5000 of the way from neutral to typical at least; a fit does the rest."""
 
 
 def rungs(problem: Problem, cause: Cause) -> Iterator[Cause]:

@@ -39,8 +39,8 @@ Progress = Callable[[str, int, int], None]
 GIVING = tuple(np.geomspace(0.5, 20.0, 8).tolist())
 """
 Times its typical value at which a compliance is tried. A little of it says nothing of one that rings,
-but one that gives 30 % too much or too little still makes much of what the right one does; much stiffer
-ones make lines (`resonances`).
+but one that gives 30 % too much or too little mostly still makes much of what the right one does; much
+stiffer ones make lines (`resonances`).
 """
 
 CHUNK = 8

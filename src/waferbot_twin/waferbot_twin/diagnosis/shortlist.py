@@ -95,7 +95,7 @@ def _as_promising(
     if not confirmed:
         return []
     best = min(confirmed, key=lambda item: item.information_criterion).found.causes[-1]
-    block = set(problem.touched(best.effect, best.axis))
+    block = set(_touched(problem, best))
     promised = {
         item.cause.name: item.score + item.cause.free * math.log(state.found.samples)
         for item in reversed(screened)
@@ -105,7 +105,7 @@ def _as_promising(
     for item in screened:
         name = item.cause.name
         alike = promised[name] > promised.get(best.name, math.inf) - 2.0 * TELLS_APART
-        shared = block.intersection(problem.touched(item.cause.effect, item.cause.axis))
+        shared = block.intersection(_touched(problem, item.cause))
         if alike and shared and name not in done:
             found.setdefault(name, item)
     return list(found.values())[:FITTED]
@@ -124,21 +124,20 @@ def fit_last_bits(
 
     Only where nothing confirmed so far changes that: of single bits a linear estimate says little.
     """
-    confirmed = [item.found for item in singles if item.confirmed]
-    best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
+    best = _best_confirmed(state, singles)
     done = {item.found.causes[-1].name for item in singles}
     new = () if best is state.found else _touched(finding, best.causes[-1])
     if CONTROLLER not in finding.exact_blocks or CONTROLLER in new:
         return []
     left = finding.less_likely_than_nothing(CONTROLLER, best.residuals[CONTROLLER])
-    names = finding.channel_names(CONTROLLER)
-    plain = [name for name, value in zip(names, left, strict=True) if value > PLAIN]
+    every = zip(finding.channels(CONTROLLER), left, strict=True)
+    plain = {channel.axis for channel, value in every if value > PLAIN}
     chosen = {
         item.cause.name: item
         for item in reversed(screened)
         if item.cause.name not in done
         and acts_on_bits_alone(finding, item.cause)
-        and any(name.startswith(item.cause.axis) for name in plain)
+        and item.cause.axis in plain
     }
     found: list[Fitted] = []
     for number, item in enumerate(chosen.values()):
@@ -148,7 +147,14 @@ def fit_last_bits(
     return found
 
 
+def _best_confirmed(state: Search, singles: Sequence[Fitted]) -> Hypothesis:
+    """Return the best single cause beside those of `state` that is confirmed; without one, `state`."""
+    confirmed = [item.found for item in singles if item.confirmed]
+    return min(confirmed, key=lambda item: item.information_criterion, default=state.found)
+
+
 def _touched(problem: Problem, cause: Cause) -> tuple[str, ...]:
+    """Return the blocks that a cause can change."""
     return problem.touched(cause.effect, cause.axis)
 
 
@@ -166,8 +172,7 @@ def fit_pairs(
     Two wrong settings of a controller partly make up for each other, and a third one may stand in
     for both; with the right two the residual is zero.
     """
-    confirmed = [item.found for item in singles if item.confirmed]
-    best = min(confirmed, key=lambda item: item.information_criterion, default=state.found)
+    best = _best_confirmed(state, singles)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
         left = finding.less_likely_than_nothing(block, best.residuals[block])
