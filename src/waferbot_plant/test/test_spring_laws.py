@@ -142,6 +142,24 @@ def test_small_laws_change_the_motion_little(name: str, small: float) -> None:
     assert change[1] / change[0] == pytest.approx(2.0, rel=0.01)
 
 
+def test_slope_is_zero_in_the_gap_and_that_of_the_spring_outside():
+    gap = 1e-3
+    _, parameters, state = oscillator({'gap_m': gap})
+    s, p = state[0], parameters[0]
+    spring_laws.find_spring_laws(s, p)
+    for place, slope in (
+        (0.0, 0.0),
+        (0.49 * gap, 0.0),
+        (0.51 * gap, STIFFNESS),
+        (-gap, STIFFNESS),
+    ):
+        position = np.array([p['spring_rest'][0] + place])
+        assert spring_laws.slope_now(s, p, 0, position) == slope
+        assert (
+            spring_laws.stiffness_now(s, p, 0, position) == STIFFNESS
+        )  # there must be one to go by
+
+
 def test_slipping_clutch_passes_its_torque_and_books_the_rest() -> None:
     """m v' = -slip once it slips: way and loss in closed form; then it swings about a new rest."""
     slip = 20.0

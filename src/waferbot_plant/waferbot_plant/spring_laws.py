@@ -372,12 +372,18 @@ def stored_in_law(s, p, spring, position):
 
 
 @compiled
-def stiffness_now(s, p, spring, position):
-    """Return the slope of a spring's force at one instant; k where there is none to go by."""
+def slope_now(s, p, spring, position):
+    """Return the slope of a spring's force at one instant: zero in a gap and where it slips."""
     if not (s['any_spring_law'] and s['spring_lawful'][spring]):
         return p['spring_stiffness'][spring]
     elastic = deflection(p, spring, position) - s['spring_slipped'][spring]
-    slope = _force_at(p, spring, elastic, _largest_contact(p, spring))[1]
+    return _force_at(p, spring, elastic, _largest_contact(p, spring))[1]
+
+
+@compiled
+def stiffness_now(s, p, spring, position):
+    """Return the slope of a spring's force at one instant; k where there is none to go by."""
+    slope = slope_now(s, p, spring, position)
     return slope if slope > 0.0 else p['spring_stiffness'][spring]
 
 

@@ -20,9 +20,17 @@ what w and z were; all models that are compared have the same.
 A reading that is late is compared with where the plant was by then, as corrected since: without the
 latter the observer, and with it the spread of e, would depend on the delay.
 
-What moves together as long as nothing gives is corrected together, by its first encoder: a carriage with
-its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore held as
-the rigid one is, and no correction stretches a spring.
+What moves together as long as nothing gives is corrected together, by its first encoder: a carriage
+with its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore
+held as the rigid one is. Where a spring joins two coordinates that both have an encoder, a motor and
+its load, the second holds its own coordinate by what the first leaves of its error: corrected with the
+load alone, a motor in the gap of its gears bounces for ever, as each correction gives back to it what
+an impact took. With k the slope of the spring's force now, zero in the gap, and J what it carries,
+that correction is
+
+    1 / (1 + (k / (J (10 w)^2))^2)
+
+of the full one, so that a spring without any compliance is what is held rigid.
 
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
 model's sensors say; where only the part that makes force is known, it is taken to be in phase.
@@ -40,7 +48,7 @@ from numpy.typing import NDArray
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
-from waferbot_plant import current_sensors, encoders, motors, plant
+from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record
@@ -49,6 +57,12 @@ from waferbot_twin.effects.variant import Variant
 
 OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
+
+STIFF = 10.0
+"""
+A spring on which its end swings so many times as fast as the observer is stiff: the encoder at that end
+corrects half as much, and less and less on stiffer ones, which noise of readings would only set ringing.
+"""
 
 READINGS_PER_CYCLE = 6.0
 """Readings that a cycle of the observer has at least."""
@@ -140,8 +154,8 @@ class PlantBlock:
         parameters = machine.parameters()
         state = machine.resting_state(parameters)
         p = parameters[0]
-        together = self._together(machine, p)
-        self._stand_where_measured(state, parameters, together)
+        together, behind = self._together(machine, p)
+        self._stand_where_measured(state, parameters, together, behind)
         innovation = np.zeros_like(record.reading)
         blown_up = _drive(
             state,
@@ -152,6 +166,7 @@ class PlantBlock:
             record.timing.encoder_divider,
             2.0 * math.pi * self._observer_hz,
             together,
+            behind,
             record.reading,
             np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
             _standing(machine.description, p, together),
@@ -167,36 +182,49 @@ class PlantBlock:
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
 
-    def _together(self, machine: Machine, p: np.void) -> Array:
+    def _together(self, machine: Machine, p: np.void) -> tuple[Array, NDArray[np.intp]]:
         """
         Return how far each coordinate of a machine goes with each encoder's, (encoders, coordinates).
 
-        As if nothing gave; zero for an encoder whose coordinate goes with that of an earlier one.
+        As if nothing gave. An encoder whose coordinate goes with that of an earlier one has that alone
+        if a spring joins the two, and nothing if they are one. With it, for each encoder, the spring
+        that it is behind and the encoder at the other end, (encoders, 2), or -1.
         """
+        behind = np.full((len(ENCODERS), 2), -1)
         together = np.zeros((len(ENCODERS), len(machine.coordinates)))
         moves: list[tuple[int | str, float]] = [
             self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
         ]
-        held = set()
+        first: dict[int | str, tuple[int, int]] = {}
         for encoder in self._places:
-            what, own = moves[int(p['encoder_coordinate'][encoder])]
-            if what in held:
+            coordinate = int(p['encoder_coordinate'][encoder])
+            what, own = moves[coordinate]
+            if what in first:
+                before, its_coordinate = first[what]
+                joint = _joint(p, coordinate, its_coordinate)
+                if joint >= 0:
+                    together[encoder, coordinate] = 1.0
+                    behind[encoder] = joint, before
                 continue
-            held.add(what)
+            first[what] = encoder, coordinate
             for place, (other, ratio) in enumerate(moves):
                 if other == what:
                     together[encoder, place] = ratio / own
-        return together
+        return together, behind
 
     def _stand_where_measured(
-        self, state: np.ndarray, parameters: np.ndarray, together: Array
+        self,
+        state: np.ndarray,
+        parameters: np.ndarray,
+        together: Array,
+        behind: NDArray[np.intp],
     ) -> None:
-        """Begin with the position and speed of the first readings."""
+        """Begin with the position and speed of the first readings, and no spring stretched by them."""
         s, p = state[0], parameters[0]
         timing = self.record.timing
         step_s = timing.encoder_divider * timing.tick_s
         for place in self._places:
-            if not together[place].any():
+            if not together[place].any() or behind[place, 0] >= 0:
                 continue
             reading = self.record.reading[:, place]
             rows = np.flatnonzero(np.isfinite(reading))
@@ -231,6 +259,15 @@ def _standing(description: Description, p: np.void, together: Array) -> NDArray[
     return standing
 
 
+def _joint(p: np.void, one: int, other: int) -> int:
+    """Return the spring that joins two coordinates that are not one; -1 if none does, or it is held."""
+    ends = zip(p['spring_first'], p['spring_second'], p['spring_held'], strict=True)
+    for spring, (first, second, held) in enumerate(ends):
+        if one != other and {int(first), int(second)} == {one, other} and not held:
+            return spring
+    return -1
+
+
 def _samples(
     rows: NDArray[np.intp], group: int, longest: float, settling: float
 ) -> NDArray[np.intp]:
@@ -261,6 +298,7 @@ def _drive(
     divider,
     observer,
     together,
+    behind,
     reading,
     late_s,
     standing,
@@ -274,8 +312,9 @@ def _drive(
     currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
     missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much
     after its tick each was taken (0, 4 if never). `observer` (4,) rad/s; `together` (encoders, z) says
-    how far it moves each coordinate. Coordinates of `standing` (z,) do not move. Returns the
-    coordinate for which the simulation blew up, or -1.
+    how far it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the
+    encoder at the other end. Coordinates of `standing` (z,) do not move. Returns the coordinate for
+    which the simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -284,6 +323,17 @@ def _drive(
     gains_for = np.zeros(reading.shape[1])
     gains = np.zeros((2, reading.shape[1]))
     corrected = np.zeros(reading.shape[1])
+    left = np.zeros(reading.shape[1])
+    inertia = np.ones(reading.shape[1])
+    multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
+    for encoder in range(reading.shape[1]):
+        spring = behind[encoder, 0]
+        if spring >= 0:
+            own = p['encoder_coordinate'][encoder]
+            ratio = p['spring_first_ratio'][spring]
+            if p['spring_first'][spring] != own:
+                ratio = p['spring_second_ratio'][spring]
+            inertia[encoder] = s['mass_matrix'][own, own] / ratio**2
     for encoder in range(reading.shape[1]):
         if p['counts_per_unit'][encoder] != 0.0:
             now = encoders.seen_counts(s, p, encoder)
@@ -319,13 +369,21 @@ def _drive(
                     gains_for[encoder] = passed
                     time_s = passed * divider * p['step'] * p['substeps']
                     _observer_gains(observer[encoder], time_s, gains[:, encoder])
+                error /= per_unit
+                left[encoder] = (1.0 - gains[0, encoder]) * error
+                spring, before = behind[encoder]
+                if spring >= 0:
+                    error -= together[before, coordinate] * left[before]
+                    stiffness = spring_laws.slope_now(s, p, spring, s['position'])
+                    stiff = stiffness / (inertia[encoder] * (STIFF * observer[encoder]) ** 2)
+                    error /= 1.0 + stiff * stiff
                 for other in range(together.shape[1]):
-                    share = together[encoder, other] * error / per_unit
+                    share = together[encoder, other] * error
                     s['position'][other] += gains[0, encoder] * share
                     s['velocity'][other] += gains[1, encoder] * share
                 for other in range(reading.shape[1]):
                     other_coordinate = p['encoder_coordinate'][other]
-                    share = together[encoder, other_coordinate] * error / per_unit
+                    share = together[encoder, other_coordinate] * error
                     moved = gains[0, encoder] * share * p['counts_per_unit'][other]
                     corrected[other] += moved
                     s['position_before'][other] += moved
