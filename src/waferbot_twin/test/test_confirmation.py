@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.confirmation import ByCommand, _too_little, caused_by_command
@@ -42,7 +46,8 @@ def test_what_the_plant_shows_does_not_count_as_currents():
 def test_a_belt_that_never_slips_shows_by_what_it_gives():
     """A little more or less of its limit changes nothing then: the whole of it has to be asked."""
     nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
-    slip = Cause(find('belt_slip'), 'y_rotate', {'force': 9000.0})
+    effect = replace(find('belt_slip'), drive_train=False)  # as if the motor had no encoder
+    slip = Cause(effect, 'y_rotate', {'force': 9000.0})
     variant = slip.effect.apply(nominal, slip.axis, slip.values)
     twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
@@ -52,3 +57,31 @@ def test_a_belt_that_never_slips_shows_by_what_it_gives():
     shown = caused_by_command(problem, evaluate(problem), evaluate(problem, (slip,)))
     assert shown.gain > 100.0
     assert shown.gain == pytest.approx(shown.expected, rel=0.2)
+
+
+@pytest.mark.slow
+def test_what_parts_two_encoders_needs_no_other_proof():
+    """Without noise a motor stands on the other flank of its play; the readings show it all the same."""
+    seed = 3
+    print(f'seed {seed}')
+    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    play = Cause(find('backlash'), 'y_rotate', {'gap': 1e-3})
+    variant = play.effect.apply(nominal, play.axis, play.values)
+    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+    )
+    record = record_of_signals('log', twin.advance(timing.ticks(0.4)))
+    noise = np.random.default_rng(seed).normal(scale=0.5, size=record.reading.shape)
+    record = replace(record, reading=np.round(record.reading + noise))
+    problem = Problem(nominal, [record])
+    assert problem.sees_both_ends('y_rotate')
+    assert not problem.sees_both_ends('x_rotate')  # one encoder for both
+    nothing, with_it = evaluate(problem), evaluate(problem, (play,))
+    plain = 2.0 * (with_it.log_likelihood - nothing.log_likelihood)
+    assert plain > 1000.0
+    assert caused_by_command(problem, nothing, with_it).gain == plain
+    blind = record.reading.copy()
+    blind[:, ENCODERS.index('y_rotate_motor')] = np.nan
+    record = replace(record, reading=blind, commanded=None)
+    assert not Problem(nominal, [record]).sees_both_ends('y_rotate')

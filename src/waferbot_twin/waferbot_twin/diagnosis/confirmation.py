@@ -156,7 +156,8 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     Blocks whose output follows from their input to the last bit need no such protection, whatever
     moved them: what they gain counts as it is. So does what makes the machine ring: it is the noise in
     the currents that shakes it, too, and what a loop makes of noise has no line. So does what readings
-    say themselves: the steps of a coarse encoder fall elsewhere in a log without noise.
+    say themselves: the steps of a coarse encoder fall elsewhere in a log without noise, and a motor on
+    the other flank of its gear's play, but no noise parts the encoders of motor and load.
 
     Both hypotheses are those of the logs of `problem`. Logs that do not say what was commanded stand for
     it themselves, with their noise: then this asks no more than whether the cause shows.
@@ -164,7 +165,8 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     cause = more.causes[-1]
     parameters = parameters_of(problem, cause)
     rings = any(item.name in cause.narrow and not item.shape for item in parameters)
-    if rings or cause.effect.evident:
+    between = cause.effect.drive_train and problem.sees_both_ends(cause.axis)
+    if rings or cause.effect.evident or between:
         gained = 2.0 * (more.log_likelihood - base.log_likelihood)
         return ByCommand(gained, gained)
     ideal = problem.ideal(more.causes) or problem

@@ -19,6 +19,7 @@ from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, fit
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 
 PLANT, CONTROLLER = 'plant', 'controller'
 AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
@@ -146,6 +147,11 @@ class Problem:
         if overlay.copley or ELECTRICAL & overlay.machine.keys():
             found.append(CURRENT_LOOP)
         return tuple(block for block in found if self.blocks[block])
+
+    def sees_both_ends(self, axis: str) -> bool:
+        """Return whether every log has the encoders of an axis' motor and of its load."""
+        ends = {MOTOR_ENCODER[axis], POSITION_ENCODER[axis]}
+        return len(ends) == 2 and all(ends <= set(log.channels) for log in self.blocks[PLANT])
 
     def residuals(self, variant: Variant, block: str) -> list[Array]:
         """Return the residuals of a block, all channels of all logs."""

@@ -36,13 +36,6 @@ from waferbot_twin.effects.effect import Effect, Parameter
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
 
-GIVING = tuple(np.geomspace(0.5, 20.0, 8).tolist())
-"""
-Times its typical value at which a compliance is tried. A little of it says nothing of one that rings,
-but one that gives 30 % too much or too little mostly still makes much of what the right one does; much
-stiffer ones make lines (`resonances`).
-"""
-
 CHUNK = 8
 """Candidates that a worker takes at a time."""
 
@@ -76,17 +69,20 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                 }
                 cause = Cause(effect, axis, values, held)
                 found += rungs(problem, cause) if effect.threshold else [cause]
-                found += _giving(parameters, cause) if effect.rings else []
+                found += _tried(parameters, cause)
     return found
 
 
-def _giving(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
-    """Give the compliance of what is held rigid with values that are possible."""
-    (item,) = parameters
-    if item.neutral == 0.0:
-        for factor in GIVING:
-            value = min(item.typical * factor, item.high)
-            yield cause.with_values({item.name: value})
+def _tried(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
+    """Give an effect that the model has none of in the sizes at which it is tried."""
+    for times in cause.effect.tried_at:
+        values = {
+            item.name: min(item.typical * times, item.high)
+            for item in parameters
+            if item.neutral == 0.0 and not item.shape
+        }
+        if values:
+            yield cause.with_values(values)
 
 
 def signatures(

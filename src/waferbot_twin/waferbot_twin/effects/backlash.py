@@ -42,5 +42,7 @@ EFFECT = Effect(
     _axes,
     _parameters,
     _overlay,
+    tried_at=tuple(2.0**power for power in range(-8, 2)),
     equation='F = k max(|e| - gap / 2, 0) sign(e)',
+    drive_train=True,
 )

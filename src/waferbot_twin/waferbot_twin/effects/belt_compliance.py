@@ -5,4 +5,6 @@ from __future__ import annotations
 
 from waferbot_twin.effects.compliances import compliance_effect, stage
 
-EFFECT = compliance_effect('belt_compliance', 'the belt of the drive stretches', stage('belt'))
+EFFECT = compliance_effect(
+    'belt_compliance', 'the belt of the drive stretches', stage('belt'), drive_train=True
+)

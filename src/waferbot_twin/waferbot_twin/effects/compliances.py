@@ -21,6 +21,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from waferbot_plant.description import Connection, Freedom
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
@@ -39,7 +41,15 @@ _STIFFNESS_OF = {
 _GUIDE_CHARTS = ('radial', 'reverse', 'transverse')
 
 
-def compliance_effect(name: str, summary: str, group: Group) -> Effect:
+GIVING = tuple(np.geomspace(0.5, 20.0, 8).tolist())
+"""
+Times its typical value at which a compliance is tried. A little of it says nothing of one that rings,
+but one that gives 30 % too much or too little mostly still makes much of what the right one does; much
+stiffer ones make lines in a spectrum.
+"""
+
+
+def compliance_effect(name: str, summary: str, group: Group, drive_train: bool = False) -> Effect:
     """Return the effect of another compliance of a group of connections."""
 
     def axes(variant: Variant) -> tuple[str, ...]:
@@ -76,6 +86,8 @@ def compliance_effect(name: str, summary: str, group: Group) -> Effect:
         equation="F = e / compliance + d e', d = loss factor / (compliance omega_1), (5.4), (5.5)",
         usual=True,
         rings=True,
+        tried_at=GIVING,
+        drive_train=drive_train,
     )
 
 

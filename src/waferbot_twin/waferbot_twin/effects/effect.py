@@ -74,17 +74,19 @@ class Effect:
     """
     A physical cause.
 
-    `parameters(variant, axis)` gives the parameters with values that fit the machine (a friction
-    is measured by the motor's force, a compliance by what hangs on it), in a fixed order;
-    `axes(variant)` the axes on which it makes sense; `overlay(variant, axis, values)` what it changes
-    in a model that has none of it; `trials` other sets of shape parameters to begin a fit from;
-    `equation` is for the documentation. An effect with a `threshold` (a limit, a gap) changes nothing
-    while it is small: its signature must be sought at typical values, not near the neutral ones. A
-    little of one that `rings` makes the machine ring, the higher the less there is of it. `tone` is
+    `parameters(variant, axis)` gives the parameters with values that fit the machine (a friction is
+    measured by the motor's force, a compliance by what hangs on it), in a fixed order; `axes(variant)`
+    the axes on which it makes sense; `overlay(variant, axis, values)` what it changes in a model that
+    has none of it; `trials` other sets of shape parameters to begin a fit from; `equation` is for the
+    documentation. An effect with a `threshold` (a limit, a gap) changes nothing while it is small: its
+    signature must be sought at typical values, not near the neutral ones. A little of one that `rings`
+    makes the machine ring, the higher the less there is of it. Where the model has none of an effect,
+    it is `tried_at` so many times its typical size, if a little of it says nothing of more. `tone` is
     the shape parameter that is a frequency, if the effect is there at this one and nowhere else. Of a
-    `usual` one every machine has some: where a model is far off, it is likely among what lacks. One that
-    is `evident` stands in the readings themselves, and no noise feigns it. Where one is not `distinct`
-    in a model, the effect `same_as` does exactly the same and stands for it.
+    `usual` one every machine has some: where a model is far off, it is likely among what lacks. One
+    that is `evident` stands in the readings themselves, and no noise feigns it; one in the
+    `drive_train` stands in the difference of the encoders of motor and load, if there are both. Where
+    one is not `distinct` in a model, the effect `same_as` does exactly the same and stands for it.
     """
 
     name: str
@@ -98,7 +100,9 @@ class Effect:
     threshold: bool = False
     usual: bool = False
     rings: bool = False
+    tried_at: tuple[float, ...] = ()
     evident: bool = False
+    drive_train: bool = False
     tone: str = ''
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always

@@ -5,4 +5,6 @@ from __future__ import annotations
 
 from waferbot_twin.effects.compliances import compliance_effect, stage
 
-EFFECT = compliance_effect('gearbox_compliance', 'the gearbox twists under torque', stage('gear'))
+EFFECT = compliance_effect(
+    'gearbox_compliance', 'the gearbox twists under torque', stage('gear'), drive_train=True
+)

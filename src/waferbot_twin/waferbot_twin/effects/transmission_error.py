@@ -91,4 +91,5 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='t = cosine cos(order phi) + sine sin(order phi)',
+    drive_train=True,
 )
