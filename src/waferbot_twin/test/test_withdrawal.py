@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis import rivalry, withdrawal
+from waferbot_twin.diagnosis.diagnose import _taken_out as taken_out
 from waferbot_twin.diagnosis.gain import AxisGain
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause
+from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.diagnosis.withdrawal import loses
 from waferbot_twin.effects import find
@@ -127,3 +128,39 @@ def test_no_rival_is_fitted_if_what_was_found_wins(monkeypatch):
         withdrawal, 'gains', lambda *rest: [gain('x_rotate', BEFORE, 0.5 * BEFORE)]
     )
     assert withdrawal.that_wins(nominal, None, found, None, [], []) is found
+
+
+def test_the_one_cause_that_makes_a_loop_swing_is_withdrawn_alone(monkeypatch):
+    nominal = Variant.of(load_model('rigid'))
+    causes = tuple(
+        Cause(find(name), axis, find(name).typical(nominal, axis))
+        for name, axis in (
+            ('force_constant', 'x_rotate'),
+            ('shaft_torsion_compliance', 'x_rotate'),
+            ('coulomb_friction', 'y_linear'),
+        )
+    )
+    harm = causes[1]
+    covariance = np.diag([4.0, 1e-18, 9.0])
+    covariance[0, 2] = covariance[2, 0] = 3.0
+    both = Hypothesis(causes, {}, {}, covariance)
+    found = Search(both, both, Hypothesis((), {}, {}), Hypothesis((), {}, {}))
+
+    def gains(nominal, extended, records):
+        swings = 'x_rotate_shaft_torsion' in extended.description.connections and (
+            extended.description.connections['x_rotate_shaft_torsion'].flexible
+        )
+        return [
+            gain('x_rotate', BEFORE, (14.0 if swings else 0.1) * BEFORE),
+            gain('y_linear', BEFORE, 0.5 * BEFORE),
+        ]
+
+    monkeypatch.setattr(withdrawal, 'gains', gains)
+    monkeypatch.setattr(
+        withdrawal, 'evaluate', lambda problem, causes: Hypothesis(tuple(causes), {}, {})
+    )
+    problem = Problem(nominal, [])
+    winning = withdrawal.that_wins(nominal, problem, found, problem, [], [])
+    assert winning.found.causes == (causes[0], causes[2])
+    np.testing.assert_allclose(winning.found.covariance, covariance[np.ix_([0, 2], [0, 2])])
+    assert taken_out(found, winning) == [harm]

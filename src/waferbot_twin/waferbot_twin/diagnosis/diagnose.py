@@ -143,9 +143,9 @@ def diagnose(
     """
     Diagnose logs against a model.
 
-    What is not found in the logs for finding may show in the others: these change roles, and if more is
-    found so, all is fitted to them. Either way nothing is fitted to the logs that judge, and the gain
-    is measured on those.
+    What is not found in the logs for finding may show in the others: these change roles, and if more
+    is found so, all is fitted to them. So they do if what was found does not win: a belt may slip only
+    there. Either way nothing is fitted to the logs that judge, and the gain is measured on those.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -173,9 +173,19 @@ def diagnose(
     withdrawn: list[Cause] = []
     winning = that_wins(nominal, problem, found, judge, judging, notes)
     if winning is None:
+        other = search(judge, problem, effects, progress, workers)
+        instead = that_wins(nominal, judge, other, problem, finding, notes)
+        if instead is not None and instead.found.causes:
+            found, winning = other, instead
+            problem, judge, finding, judging = judge, problem, judging, finding
+            notes.append(
+                'what the logs for finding show does not win: the others found, these judged'
+            )
+    if winning is None:
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
     else:
+        withdrawn = _taken_out(found, winning)
         found = winning
     rest = left_over(problem, judge, found, progress, workers)
     extended = apply_all(nominal, (*found.found.causes, *rest.tables))
@@ -200,6 +210,13 @@ def diagnose(
         time.perf_counter() - begun_s,
         notes,
     )
+
+
+def _taken_out(found: Search, winning: Search) -> list[Cause]:
+    """Return the causes that were found, but do not win; one that a rival stands for now is none."""
+    left = {cause.name for cause in winning.found.causes}
+    fewer = len(left) < len(found.found.causes)
+    return [cause for cause in found.found.causes if fewer and cause.name not in left]
 
 
 def _search_in_other_roles(

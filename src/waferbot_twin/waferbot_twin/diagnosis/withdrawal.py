@@ -3,7 +3,8 @@
 Does an extension win on logs that were not used for the fit? If not, it is withdrawn.
 
 First its rivals are asked: of causes that the logs cannot tell apart in their blocks, one may win in
-closed loop where another does not.
+closed loop where another does not. Then one cause alone is withdrawn: among many that each explain a
+little there may be one that makes the loop swing.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.fitting import names_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.problem import Problem, apply_all
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.rivalry import exchanged
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
@@ -43,12 +47,17 @@ def that_wins(
     """
     Return the search with causes that win on the logs for judging, or None if none do.
 
-    Those found, or with a rival that the logs cannot tell in place of one of them. If none do, `notes`
-    say what does not even run. Raises `UserError` if the nominal model does not run.
+    Those found, or with a rival that the logs cannot tell in place of one of them, or without one. If
+    none do, `notes` say what does not even run. Raises `UserError` if the nominal model does not run.
     """
     reasons = []
     # One after another: a rival costs a fit, and mostly what was found wins.
-    for candidate in itertools.chain([found], _with_rivals(problem, judge, found)):
+    candidates = itertools.chain(
+        [found],
+        _with_rivals(problem, judge, found),
+        _without_the_worst(nominal, problem, judge, found, judging),
+    )
+    for candidate in candidates:
         causes = candidate.found.causes
         try:
             extension = gains(nominal, apply_all(nominal, causes), list(judging))
@@ -74,6 +83,55 @@ def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Se
                 yield exchanged(problem, judge, found, place, rival)
             except UserError:
                 continue
+
+
+def _without_the_worst(
+    nominal: Variant,
+    problem: Problem,
+    judge: Problem,
+    found: Search,
+    judging: Sequence[Record],
+) -> Iterator[Search]:
+    """Give the search without one cause on the axis that loses most: the one that does the harm."""
+    causes = found.found.causes
+    if len(causes) < 2:
+        return
+    try:
+        extension = gains(nominal, apply_all(nominal, causes), list(judging))
+    except UserError:
+        extension = []
+    most = max(extension, key=_ratio, default=None)
+    best, least = causes, math.inf
+    for place, cause in enumerate(causes):
+        if most is not None and cause.axis != most.axis:
+            continue
+        fewer = (*causes[:place], *causes[place + 1 :])
+        try:
+            axis_gains = gains(nominal, apply_all(nominal, fewer), list(judging))
+        except UserError:
+            continue
+        error = sum(_ratio(item) ** 2 for item in axis_gains)
+        if error < least:
+            best, least = fewer, error
+    if best is not causes:
+        left = replace(evaluate(problem, best), covariance=_covariance(problem, found.found, best))
+        yield replace(found, found=left, judged=evaluate(judge, best))
+
+
+def _covariance(problem: Problem, found: Hypothesis, left: Sequence[Cause]) -> Array:
+    """Return the covariance of the parameters of the causes that are left, as if the others were not."""
+    every = names_of(problem, found.causes)
+    if len(every) != len(found.covariance):
+        return np.zeros((0, 0))
+    kept = np.array([found.causes[place] in left for place, _ in every], bool)
+    scale = np.sqrt(np.maximum(np.diag(found.covariance), np.finfo(float).tiny))
+    information = np.linalg.pinv(found.covariance / np.outer(scale, scale))[np.ix_(kept, kept)]
+    return np.asarray(np.linalg.pinv(information) * np.outer(scale[kept], scale[kept]))
+
+
+def _ratio(item: AxisGain) -> float:
+    """Return the RMS error of the extended model over that of the nominal one."""
+    return item.rms_after / item.rms_before if item.rms_before > 0.0 else 0.0
 
 
 def loses(axis_gains: Sequence[AxisGain]) -> bool:
