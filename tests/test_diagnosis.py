@@ -3,8 +3,8 @@
 Blind: a log with a hidden effect, a diagnosis that knows nothing of it, compared afterwards.
 
 Both run as processes of their own. Which effect, where and which noise is drawn from a seed that is
-printed; `WAFERBOT_SEED` draws another one. The rates of misses and false alarms over many seeds are
-not measured yet, so that the seed does not change from day to day unless `DAILY` is set.
+printed, another one each day; `WAFERBOT_SEED` repeats one. No diagnosis is right every time, so a miss
+must be the only one of three.
 """
 
 from __future__ import annotations
@@ -25,15 +25,18 @@ from waferbot_twin.recording.reader import read_recording
 
 # Effects that any motion of their axis shows plainly at these sizes; the whole library is for the bench.
 PLAIN = ('coulomb_friction', 'viscous_friction', 'wrong_inertia', 'wrong_derivative_gain')
-DAILY = False
-
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
+HIDDEN = (
+    *((name, axis) for name in PLAIN for axis in AXES),
+    ('backlash', 'y_rotate'),
+    ('gearbox_compliance', 'y_rotate'),
+)
 
 
 @pytest.fixture(scope='module')
 def random():
-    usual = datetime.now(timezone.utc).date().toordinal() if DAILY else 5
-    seed = int(os.environ.get('WAFERBOT_SEED', usual))
+    today = datetime.now(timezone.utc).date().toordinal()
+    seed = int(os.environ.get('WAFERBOT_SEED', today))
     print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
     return np.random.default_rng(seed)
 
@@ -71,10 +74,21 @@ def diagnosis(tmp_path, *logs):
     return report
 
 
-@pytest.mark.slow
-def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(random, tmp_path):
-    name = str(random.choice(PLAIN))
-    axis = str(random.choice(AXES))
+def right_once_or_twice_of_three(trial, random, tmp_path):
+    """Run a trial; if it fails, two others must not."""
+    try:
+        trial(random, tmp_path / '0')
+    except AssertionError as miss:
+        print(f'missed: {miss}')
+        trial(random, tmp_path / '1')
+        trial(random, tmp_path / '2')
+
+
+def hide_and_seek(random, tmp_path):
+    """Hide an effect, and ask a diagnosis for its name, axis and size, and what its correction gains."""
+    tmp_path.mkdir()
+    name, axis = HIDDEN[random.integers(len(HIDDEN))]
+    print(f'hidden: {name}:{axis}')
     truth = tmp_path / 'truth.json'
     seeds = random.integers(2**31, size=2)
     first = tmp_path / 'first'
@@ -86,10 +100,10 @@ def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(ra
     second = log(tmp_path / 'second', motion, seeds[1], f'{name}:{axis}')
     report = diagnosis(tmp_path, first, second)
     hidden = json.loads(truth.read_text('utf-8'))['effects'][0]
-    assert report['verdict'] in ('explained', 'partly')
+    assert report['verdict'] in ('explained', 'partly'), report['sentence']
     found = report['causes'][0]
     group = [f'{found["effect"]}:{found["axis"]}', *found['cannot_tell_from']]
-    assert f'{hidden["effect"]}:{hidden["axis"]}' in group
+    assert f'{hidden["effect"]}:{hidden["axis"]}' in group, report['sentence']
     assert len(group) <= 3
     if found['effect'] != hidden['effect']:
         return
@@ -102,8 +116,9 @@ def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(ra
     assert (tmp_path / 'report' / 'report.html').stat().st_size > 20000
 
 
-@pytest.mark.slow
-def test_nothing_hidden_nothing_found(random, tmp_path):
+def seek_nothing(random, tmp_path):
+    """Hide nothing, and ask a diagnosis what is wrong."""
+    tmp_path.mkdir()
     seeds = random.integers(2**31, size=2)
     report = diagnosis(
         tmp_path,
@@ -112,6 +127,16 @@ def test_nothing_hidden_nothing_found(random, tmp_path):
     )
     assert report['verdict'] == 'consistent', report['sentence']
     assert report['causes'] == []
+
+
+@pytest.mark.slow
+def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(random, tmp_path):
+    right_once_or_twice_of_three(hide_and_seek, random, tmp_path)
+
+
+@pytest.mark.slow
+def test_nothing_hidden_nothing_found(random, tmp_path):
+    right_once_or_twice_of_three(seek_nothing, random, tmp_path)
 
 
 @pytest.mark.slow
