@@ -18,7 +18,7 @@ SIDE_BY_SIDE := --numprocesses auto --dist loadfile
 help:
 	@echo 'make demo       set up, run the twin over ROS 2, diagnose logs of a machine'
 	@echo 'make test       linters, type checker and all tests (what CI runs)'
-	@echo 'make test-fast  linters and the tests that need no ROS processes (2 minutes; 5 the first time)'
+	@echo 'make test-fast  linters and the tests that need no ROS processes (2 minutes; more the first time)'
 	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'
 	@echo 'make bench-diagnosis  blind tests of the diagnosis; OPTIONS=--help says how to do a part of them'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'

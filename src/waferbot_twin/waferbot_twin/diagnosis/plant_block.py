@@ -30,7 +30,8 @@ that correction is
 
     1 / (1 + (k / (J (10 w)^2))^2)
 
-of the full one, so that a spring without any compliance is what is held rigid.
+of the full one, so that a spring without any compliance is what is held rigid; and it begins five counts
+off: enough for a motor that is on the wrong flank, and nothing that noise would ask for.
 
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
 model's sensors say; where only the part that makes force is known, it is taken to be in phase.
@@ -57,6 +58,12 @@ from waferbot_twin.effects.variant import Variant
 
 OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
+
+FREE_COUNTS = 5.0
+"""
+So far a motor may be from where its own encoder shows it before that corrects it. Without this a model
+in which something gives would profit from readings that are followed, whether anything gives or not.
+"""
 
 STIFF = 10.0
 """
@@ -376,7 +383,8 @@ def _drive(
                     error -= together[before, coordinate] * left[before]
                     stiffness = spring_laws.slope_now(s, p, spring, s['position'])
                     stiff = stiffness / (inertia[encoder] * (STIFF * observer[encoder]) ** 2)
-                    error /= 1.0 + stiff * stiff
+                    beyond = max(abs(error * per_unit) - FREE_COUNTS, 0.0)
+                    error = math.copysign(beyond, error) / abs(per_unit) / (1.0 + stiff * stiff)
                 for other in range(together.shape[1]):
                     share = together[encoder, other] * error
                     s['position'][other] += gains[0, encoder] * share
