@@ -31,7 +31,7 @@ that correction is
     1 / (1 + (k / (J (10 w)^2))^2)
 
 of the full one, so that a spring without any compliance is what is held rigid; and it begins five counts
-off: enough for a motor that is on the wrong flank, and nothing that noise would ask for.
+off (`FREE_COUNTS`): enough for a motor on the wrong flank, more than noise of a count or two asks for.
 
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
 model's sensors say; where only the part that makes force is known, it is taken to be in phase.
@@ -63,6 +63,8 @@ FREE_COUNTS = 5.0
 """
 So far a motor may be from where its own encoder shows it before that corrects it. Without this a model
 in which something gives would profit from readings that are followed, whether anything gives or not.
+Two drives without compliance, noise below a count: gearbox, belt and play in each size tried lost 3 to
+9700 in 2 ln L with it; in one of them a gearbox had won 353 without it.
 """
 
 STIFF = 10.0
