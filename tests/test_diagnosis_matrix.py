@@ -138,7 +138,7 @@ def test_size_in_white_noise_is_the_rms_over_the_smallest_that_can_be_detected(
     smallest = deviation * math.sqrt(math.log(samples) / samples)
     change = np.sin(0.37 * np.arange(samples))
     change *= ratio * smallest / math.sqrt(float(np.mean(change**2)))
-    found = size_of_change([change], [np.ones(1)], [deviation], samples)
+    found = size_of_change([change / deviation], samples)
     assert found == pytest.approx(ratio, rel=1e-9)
 
 
@@ -154,7 +154,8 @@ def test_size_in_coloured_noise_is_the_likelihood_ratio_of_a_simulation():
         with_it, without = (lfilter(taps, 1.0, noise + d)[2:] for d in (change, 0.0))
         gains.append((np.sum(with_it**2) - np.sum(without**2)) / deviation**2)
     # A mean of 300 whose spread is 2 sqrt(gain) each
-    expected = size_of_change([change], [taps], [deviation], samples) ** 2 * math.log(samples)
+    white = lfilter(taps, 1.0, change)[2:] / deviation
+    expected = size_of_change([white], samples) ** 2 * math.log(samples)
     assert np.mean(gains) == pytest.approx(expected, abs=4.0 * 2.0 * math.sqrt(expected / 300.0))
 
 

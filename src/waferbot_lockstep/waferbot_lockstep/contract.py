@@ -19,6 +19,9 @@ AXES = ('y_linear', 'x_rotate', 'y_rotate')
 ENCODERS = ('y_linear', 'x_rotate', 'y_rotate_load', 'y_rotate_motor')
 """The encoders, in the order of `Encoders.counts`."""
 
+AXIS_OF = dict(zip(ENCODERS, (*AXES, AXES[-1]), strict=True))
+"""The axis that each encoder is on."""
+
 ALL_AXES = 0b111
 ALL_ENCODERS = 0b1111
 

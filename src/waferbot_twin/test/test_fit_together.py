@@ -18,7 +18,7 @@ from waferbot_twin.diagnosis.fitting import USUAL, Linear, fit_causes, names_of,
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, Cause
 from waferbot_twin.diagnosis.together import far, usual_causes
-from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.host import host
@@ -63,15 +63,11 @@ class Decay:
     def residuals(self, variant, block):
         return [self.measured - model(variant['amplitude'], variant['rate'], variant['offset'])]
 
-    def floors(self, block):
-        return [1e-6]
-
-    def orders(self, block):
-        return [0]
+    def noises(self, block):
+        return [Noise(1e-6, 0)]
 
     def judge(self, residuals):
-        channels = residuals[PLANT]
-        return {PLANT: fit(channels, [np.zeros((len(TIME_S), 0))], [1e-6], [0])}
+        return {PLANT: likelihood(residuals[PLANT], self.noises(PLANT))}
 
 
 def decay_causes(offset_low):
@@ -143,7 +139,7 @@ def test_without_a_cause_the_others_make_up_for_it_as_least_squares_does():
 
 
 def hypothesis(residual):
-    fits = {PLANT: fit([residual], [np.zeros((len(residual), 0))], [0.1], [24])}
+    fits = {PLANT: likelihood([residual], [Noise(0.1, 24)])}
     return Hypothesis((), {PLANT: [residual]}, fits)
 
 

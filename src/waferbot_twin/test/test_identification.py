@@ -15,6 +15,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.problem import PLANT, Problem
+from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.identification.colour import flattened, spectrum
@@ -218,15 +219,10 @@ class LinearProblem(Problem):
         self.nominal, self._matrix, self._measured = nominal, matrix, measured
         self.records = ()
         self.blocks = {PLANT: [self]}
-        self.floors_of = [1e-9]
+        self.channels = ['y']
 
-    channels, order = ['y'], 24
-
-    def floors(self, block):
-        return self.floors_of
-
-    def orders(self, block):
-        return [self.order]
+    def noises(self, block):
+        return [Noise(1e-9, 24)]
 
     def touched(self, effect, axis):
         return (PLANT,)

@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly, side_by_side
+from waferbot_twin.diagnosis.whitening import Noise
 
 SEED = 20261121
 
 
 class TwoBlocks:
-    """Stands for a problem: floors and orders of two blocks."""
+    """Stands for a problem: the noises of two blocks."""
 
-    def floors(self, block):
-        return [1e-6, 1e-6] if block == 'plant' else [1e-6]
-
-    def orders(self, block):
-        return [0, 0] if block == 'plant' else [0]
+    def noises(self, block):
+        return [Noise(1e-6, 0)] * (2 if block == 'plant' else 1)
 
 
 def test_a_value_is_found_from_all_blocks_weighed_by_their_noise():

@@ -21,7 +21,7 @@ from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.rungs import between_rungs, rungs
 from waferbot_twin.diagnosis.screening import Screened, candidates
 from waferbot_twin.diagnosis.shortlist import TRIALS, most_promising
-from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.host import compact, host
 from waferbot_twin.effects.variant import Variant
@@ -103,7 +103,7 @@ def test_the_delay_of_an_encoder_does_not_show_where_nothing_moves(nominal):
         for delay in (0.5, 3.0):
             late = effect.apply(nominal, axis, {'delay': delay})
             spreads = [
-                fit(residuals, [np.zeros((len(one), 0)) for one in residuals], [0.0] * 4, [24] * 4)
+                likelihood(residuals, [Noise(0.0, 24)] * 4)
                 for residuals in (block.residuals(nominal), block.residuals(late))
             ]
             # what an observer makes of white noise depends on its delay, unless that is made up for;

@@ -10,7 +10,8 @@ prediction-error filter A of what the *true* model leaves there, whose white noi
     size^2 = sum over blocks and channels of sum ((A d) / s)^2 / ln N .
 
 That is 2 ln L of the true model over the nominal one, at the noise of the true one and in the mean, over
-ln N: what one more parameter has to pay.
+ln N: what one more parameter has to pay. Two encoders of one axis are whitened as a pair, so that what
+both of them see counts once.
 """
 
 from __future__ import annotations
@@ -18,13 +19,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
-import numpy as np
-from scipy.signal import lfilter
-
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.whitening import prediction_errors
 
 CLOSE = 1.15
 """A size within this ratio of the one wanted will do."""
@@ -43,30 +42,22 @@ class NeverNeutral(OutOfReach):
     """The size does not go to zero with the effect, so that it says nothing about the effect."""
 
 
-def size_of_change(
-    changes: Iterable[Array],
-    filters: Iterable[Array],
-    deviations: Iterable[float],
-    samples: int,
-) -> float:
-    """Return the size of changes (N,) of channels whose noise has these filters and deviations."""
-    energy = 0.0
-    for change, taps, deviation in zip(changes, filters, deviations, strict=True):
-        white = lfilter(taps, 1.0, change)[len(taps) - 1 :]
-        energy += float(np.sum((white / deviation) ** 2))
+def size_of_change(changes: Iterable[Array], samples: int) -> float:
+    """Return the size of changes (N,) of all channels: filtered, in deviations of their white noise."""
+    energy = sum(float(change @ change) for change in changes)
     return math.sqrt(energy / math.log(samples))
 
 
 def size(problem: Problem, causes: Sequence[Cause]) -> float:
     """Return the size of causes that are in the logs of `problem`; raises `UserError`."""
     true = evaluate(problem, tuple(causes))
-    changes, filters, deviations = [], [], []
+    changes: list[Array] = []
     for block, after in true.residuals.items():
         before = problem.residuals(problem.nominal, block)
-        changes += [one - other for one, other in zip(before, after, strict=True)]
-        filters += true.fits[block].filters
-        deviations += true.fits[block].deviations
-    return size_of_change(changes, filters, deviations, true.samples)
+        changes += prediction_errors(
+            true.fits[block], [one - other for one, other in zip(before, after, strict=True)]
+        )
+    return size_of_change(changes, true.samples)
 
 
 def scale_of_size(

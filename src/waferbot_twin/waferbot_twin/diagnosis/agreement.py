@@ -32,7 +32,7 @@ from waferbot_twin.diagnosis.jointly import Signature, by_channel, side_by_side
 from waferbot_twin.diagnosis.problem import Cause, Channel, Problem
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.whitening import fit, whitened
+from waferbot_twin.diagnosis.whitening import fit, prediction_errors
 
 CHANCE = 1e-3
 """Probability that the logs disagree as much on a true cause."""
@@ -145,18 +145,14 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
             continue
         residuals = [one.residual for one in channels]
         matrices = [one.matrix[:, shows] for one in channels]
-        estimate = fit(
-            residuals,
-            matrices,
-            [one.channel.floor for one in channels],
-            [one.channel.order for one in channels],
-        )
-        white = [
-            whitened([one], [matrix], [taps], [deviation])
-            for one, matrix, taps, deviation in zip(
-                residuals, matrices, estimate.filters, estimate.deviations, strict=True
+        estimate = fit(residuals, matrices, [one.channel.noise for one in channels])
+        white = list(
+            zip(
+                prediction_errors(estimate, matrices),
+                prediction_errors(estimate, residuals),
+                strict=True,
             )
-        ]
+        )
         for place, wanted in enumerate(result):
             mine = cause_of[shows] == place
             if not mine.any():
@@ -168,10 +164,10 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
                 estimate.covariance[np.ix_(mine, mine)]
             )
             gained: dict[str, float] = {}
-            for one, (rows, right) in zip(channels, white, strict=True):
-                left = right - rows[:, mine] @ estimate.value[mine]
+            for one, (rows, there) in zip(channels, white, strict=True):
+                left = there + rows[:, mine] @ estimate.value[mine]
                 axis = one.channel.axis
-                gained[axis] = gained.get(axis, 0.0) + float(right @ right - left @ left)
+                gained[axis] = gained.get(axis, 0.0) + float(there @ there - left @ left)
             wanted.append(Wanted(record.name, change, information, gained))
     return result
 

@@ -15,6 +15,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.replay import replay_servo
 
@@ -42,7 +43,9 @@ class ControllerBlock:
         per_bit = (
             servo_parameters(variant.pmac, variant.name)[0]['amplifier_peak_current'] / 32768.0
         )
-        self.floors = [float(FLOOR_BITS * per_bit[place]) for place in self._axes]
+        self.noises = [
+            Noise(float(FLOOR_BITS * per_bit[place]), self.order) for place in self._axes
+        ]
         rows = record.timing.servo_divider // record.timing.encoder_divider
         self._counts = np.ascontiguousarray(record.reading[::rows][: len(record.command)]).astype(
             np.int64

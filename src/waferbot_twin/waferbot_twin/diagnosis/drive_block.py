@@ -32,6 +32,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_plant import current_sensors, motors, windings
 from waferbot_twin.diagnosis.motor_motion import MotorMotion
 from waferbot_twin.diagnosis.record import Array, Record, mean_over_ticks
+from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.places import amplified_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import open_terminals
@@ -113,7 +114,7 @@ class AmplifierBlock(_OfLines):
         self.record = record
         self._lines = _Lines(record, _commanded_places(record, variant))
         self.channels = self._lines.channels
-        self.floors = [FLOOR_V] * len(self.channels)
+        self.noises = [Noise(FLOOR_V, self.order)] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the voltages of lines 1 and 2 against the mean of the three, logged less computed."""
@@ -150,7 +151,7 @@ class WindingsBlock(_OfLines):
         self._lines = _Lines(record, _moved_places(record, variant))
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
-        self.floors = [FLOOR_A] * len(self.channels)
+        self.noises = [Noise(FLOOR_A, self.order)] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""
@@ -181,7 +182,7 @@ class CurrentLoopBlock(_OfLines):
         self._lines = _Lines(record, places)
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
-        self.floors = [FLOOR_A] * len(self.channels)
+        self.noises = [Noise(FLOOR_A, self.order)] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""

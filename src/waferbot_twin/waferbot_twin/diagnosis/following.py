@@ -89,10 +89,10 @@ def _gained(
     matrices = [
         _regressors(ideal[id(one.log.record)], one.log.times_s(name), one.axis) for one in channels
     ]
-    floors, orders = [one.floor for one in channels], [one.order for one in channels]
+    noises = [one.noise.alone() for one in channels]
     moves = np.any([np.any(matrix != 0.0, axis=0) for matrix in matrices], axis=0)
     with_them, without = (
-        fit(left, [matrix[:, columns] for matrix in matrices], floors, orders).log_likelihood
+        fit(left, [matrix[:, columns] for matrix in matrices], noises).log_likelihood
         for columns in (moves, np.zeros_like(moves))
     )
     return 2.0 * (with_them - without), int(np.count_nonzero(moves))

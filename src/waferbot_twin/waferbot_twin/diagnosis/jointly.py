@@ -50,8 +50,7 @@ def fit_jointly(
     return fit(
         [channel for block in blocks for channel in residuals[block]],
         [part for block in blocks for part in by_channel(signature[block], residuals[block])],
-        [floor for block in blocks for floor in problem.floors(block)],
-        [order for block in blocks for order in problem.orders(block)],
+        [noise for block in blocks for noise in problem.noises(block)],
         rounds,
     )
 

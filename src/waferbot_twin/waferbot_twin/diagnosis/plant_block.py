@@ -30,8 +30,9 @@ that correction is
 
     1 / (1 + (k / (J (10 w)^2))^2)
 
-of the full one, so that a spring without any compliance is what is held rigid; and it begins five counts
-off (`FREE_COUNTS`): enough for a motor on the wrong flank, more than noise of a count or two asks for.
+of the full one, so that a spring without any compliance is what is held rigid. Such a model follows
+two encoders where a rigid one follows one; so their innovations are whitened as a pair (`whitening`),
+which takes out which readings an observer followed, and leaves what the machine does.
 
 Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
 model's sensors say; where only the part that makes force is known, it is taken to be in phase.
@@ -41,31 +42,25 @@ logged stand still.
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.host import compact
 from waferbot_twin.effects.variant import Variant
 
 OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
-
-FREE_COUNTS = 5.0
-"""
-So far a motor may be from where its own encoder shows it before that corrects it. Without this a model
-in which something gives would profit from readings that are followed, whether anything gives or not.
-Two drives without compliance, noise below a count: gearbox, belt and play in each size tried lost 3 to
-9700 in 2 ln L with it; in one of them a gearbox had won 353 without it.
-"""
 
 STIFF = 10.0
 """
@@ -118,9 +113,9 @@ class PlantBlock:
         ]
         self.channels = [ENCODERS[place] for place in self._places]
         self._samples: list[NDArray[np.intp]] = []
-        self.floors: list[float] = []
         self.rates_hz: list[float] = []
         self._observer_hz = np.zeros(len(ENCODERS))
+        floors = []
         for place in self._places:
             rows = np.flatnonzero(known[:, place])
             usual = float(np.median(np.diff(rows)))
@@ -132,9 +127,23 @@ class PlantBlock:
             judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
             self._samples.append(samples[judged])
             self.rates_hz.append(rate_hz / group)
-            self.floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
+            floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
         shortest = min((len(samples) for samples in self._samples), default=0)
         self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
+        self.noises = [
+            Noise(floor, self.order, beside)
+            for floor, beside in zip(floors, self._beside(), strict=True)
+        ]
+
+    def _beside(self) -> list[int]:
+        """Return how many places further on the other encoder of each one's axis is; 0 without one."""
+        axes = [AXIS_OF[name] for name in self.channels]
+        found = [0] * len(axes)
+        for first, second in itertools.combinations(range(len(axes)), 2):
+            same_times = np.array_equal(self._samples[first], self._samples[second])
+            if axes[first] == axes[second] and same_times:
+                found[first], found[second] = second - first, first - second
+        return found
 
     @property
     def observer_hz(self) -> float:
@@ -385,8 +394,7 @@ def _drive(
                     error -= together[before, coordinate] * left[before]
                     stiffness = spring_laws.slope_now(s, p, spring, s['position'])
                     stiff = stiffness / (inertia[encoder] * (STIFF * observer[encoder]) ** 2)
-                    beyond = max(abs(error * per_unit) - FREE_COUNTS, 0.0)
-                    error = math.copysign(beyond, error) / abs(per_unit) / (1.0 + stiff * stiff)
+                    error /= 1.0 + stiff * stiff
                 for other in range(together.shape[1]):
                     share = together[encoder, other] * error
                     s['position'][other] += gains[0, encoder] * share

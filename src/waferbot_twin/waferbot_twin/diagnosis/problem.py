@@ -16,7 +16,7 @@ from waferbot_twin.diagnosis.controller_block import ControllerBlock
 from waferbot_twin.diagnosis.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.whitening import Fit, fit
+from waferbot_twin.diagnosis.whitening import Fit, Noise, likelihood
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
@@ -38,8 +38,7 @@ class BlockOfLog(Protocol):
     """One block with the signals of one log."""
 
     record: Record
-    floors: list[float]
-    order: int
+    noises: list[Noise]
     channels: list[str]
 
     def residuals(self, variant: Variant) -> list[Array]:
@@ -51,12 +50,11 @@ class BlockOfLog(Protocol):
 
 @dataclass(frozen=True)
 class Channel:
-    """One channel of a block in one log: its floor, and the order that whitens it."""
+    """One channel of a block in one log, and what is known of its noise."""
 
     log: BlockOfLog
     name: str
-    floor: float
-    order: int
+    noise: Noise
 
     @property
     def axis(self) -> str:
@@ -183,26 +181,22 @@ class Problem:
     def channels(self, block: str) -> list[Channel]:
         """Return every channel of a block, log by log."""
         return [
-            Channel(log, name, floor, log.order)
-            if self.whitens
-            else Channel(log, name, ROUGH * floor, 0)
+            Channel(log, name, noise if self.whitens else Noise(ROUGH * noise.floor, 0))
             for log in self.blocks[block]
-            for name, floor in zip(log.channels, log.floors, strict=True)
+            for name, noise in zip(log.channels, log.noises, strict=True)
         ]
 
-    def floors(self, block: str) -> list[float]:
-        """Return the smallest deviation of every channel of a block."""
-        return [channel.floor for channel in self.channels(block)]
-
-    def orders(self, block: str) -> list[int]:
-        """Return the order of the autoregression that whitens every channel of a block."""
-        return [channel.order for channel in self.channels(block)]
+    def noises(self, block: str) -> list[Noise]:
+        """Return what is known of the noise in every channel of a block."""
+        return [channel.noise for channel in self.channels(block)]
 
     @property
     def exact_blocks(self) -> list[str]:
         """The blocks whose output follows from their input to the last bit: nothing to whiten."""
         return [
-            block for block, parts in self.blocks.items() if parts and not any(self.orders(block))
+            block
+            for block, parts in self.blocks.items()
+            if parts and not any(noise.order for noise in self.noises(block))
         ]
 
     def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> list[float]:
@@ -210,9 +204,7 @@ class Problem:
         found = []
         for channel, residual in zip(self.channels(block), residuals, strict=True):
             there, none = (
-                fit(
-                    [one], [np.zeros((len(one), 0))], [channel.floor], [channel.order]
-                ).log_likelihood
+                likelihood([one], [channel.noise.alone()]).log_likelihood
                 for one in (residual, np.zeros_like(residual))
             )
             found.append(2.0 * (none - there))
@@ -231,12 +223,7 @@ class Problem:
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block."""
         return {
-            block: fit(
-                channels,
-                [np.zeros((len(channel), 0)) for channel in channels],
-                self.floors(block),
-                self.orders(block),
-            )
+            block: likelihood(channels, self.noises(block))
             for block, channels in residuals.items()
             if channels
         }

@@ -62,6 +62,7 @@ from waferbot_twin.diagnosis.together import (
     usual_causes,
 )
 from waferbot_twin.diagnosis.tones import at_tones
+from waferbot_twin.diagnosis.whitening import unpredictable
 from waferbot_twin.effects.effect import Effect
 
 ANEW = 30
@@ -134,7 +135,14 @@ def _leaves_far(before: Hypothesis, found: Hypothesis) -> bool:
     """
     if PLANT not in found.fits:
         return False
-    changes = np.log(np.divide(before.fits[PLANT].deviations, found.fits[PLANT].deviations))
+    one, other = (
+        [
+            unpredictable(residual, noise)
+            for residual, noise in zip(item.residuals[PLANT], item.fits[PLANT].noises, strict=True)
+        ]
+        for item in (before, found)
+    )
+    changes = np.log(np.divide(one, other))
     most = int(np.argmax(changes))
     return changes[most] > 0.0 and far_channels(before)[most] and far_channels(found)[most]
 

@@ -27,6 +27,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes, linearise, names_of, without
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
+from waferbot_twin.diagnosis.whitening import unpredictable
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 
 Progress = Callable[[str, int, int], None]
@@ -65,9 +66,9 @@ def far_channels(hypothesis: Hypothesis) -> list[bool]:
     if PLANT not in hypothesis.fits:
         return []
     return [
-        float(np.sqrt(np.mean(residual**2))) > FAR * deviation
-        for residual, deviation in zip(
-            hypothesis.residuals[PLANT], hypothesis.fits[PLANT].deviations, strict=True
+        float(np.sqrt(np.mean(residual**2))) > FAR * unpredictable(residual, noise)
+        for residual, noise in zip(
+            hypothesis.residuals[PLANT], hypothesis.fits[PLANT].noises, strict=True
         )
     ]
 

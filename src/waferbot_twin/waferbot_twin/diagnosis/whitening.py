@@ -16,14 +16,26 @@ channel the logarithm of the likelihood is, up to a constant,
 
 s^2 = <w^2>, but not less than the resolution of the channel allows (the floor).
 
-Source: J. D. Hamilton, Time Series Analysis, Princeton 1994, chapters 5 and 8.
+Two encoders of one axis, a motor's and its load's, see the same force and the same motion. Taken as
+independent, what shakes both counts twice; and a model whose observer uses one of them profits when
+another model's uses both, whatever is true. So the residuals r, q of such a pair are one process,
+
+    r[n] = sum of a_i r[n-i] + sum of b_i q[n-i] + w[n],                        i = 1 ... p,
+    q[n] = sum of c_i q[n-i] + sum of d_i r[n-i] + d_0 r[n] + v[n],
+
+a vector autoregression in its triangular form: w and v are independent of each other, and ln L is the
+sum as above. What one observer makes of the readings is, for a linear machine, a filter of what another
+one makes of them, and a vector autoregression that is long enough takes any such filter out.
+
+Sources: J. D. Hamilton, Time Series Analysis, Princeton 1994, chapters 5, 8 and 11; L. Ljung, System
+Identification, 1999, section 7.4 (likelihood of innovations).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,37 +44,111 @@ from scipy.signal import lfilter
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Noise:
+    """
+    What is known of the noise in a channel.
+
+    `floor` is the smallest standard deviation that it can have, that of the channel's resolution: a
+    perfect fit is not infinitely likely. `order` is that of the autoregression, 0 for white noise.
+    `beside` says how many places further on in the list of channels that one is with which it makes
+    a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
+    the same times.
+    """
+
+    floor: float
+    order: int
+    beside: int = 0
+
+    def alone(self) -> Noise:
+        """Return the noise of the channel by itself."""
+        return replace(self, beside=0)
+
+
+@dataclass(frozen=True)
+class PredictionError:
+    """
+    The filter that leaves of a channel what its past, and that of the other one of a pair, do not tell.
+
+    `own` (p + 1,) is (1, -a_1, ..., -a_p), `other` (p + 1,) likewise (-b_0, ..., -b_p), for the
+    channel `beside` places further on; empty without one.
+    """
+
+    own: Array
+    other: Array
+    beside: int
+
+    @property
+    def order(self) -> int:
+        """The order p: how many samples at the beginning are lost."""
+        return len(self.own) - 1
+
+    def __call__(self, channels: Sequence[Array], place: int) -> Array:
+        """Return channel number `place`, (N,) or (N, k), filtered, without its first p samples."""
+        left = lfilter(self.own, 1.0, channels[place], axis=0)
+        if self.beside:
+            left = left + lfilter(self.other, 1.0, channels[place + self.beside], axis=0)
+        return np.asarray(left[self.order :])
+
+
+RIDGE = 1e-10
+"""Share of its variance added to a channel's: a line spectrum, or zero, has a filter then, too."""
+
+
 def autoregression(residual: Array, order: int) -> Array:
     """
-    Return the prediction-error filter (1, -a_1, ..., -a_p) of a residual.
+    Return the prediction-error filter (1, -a_1, ..., -a_p) of a residual by itself.
 
-    Least squares on the lagged samples (the covariance method). A small part of the variance is
-    added on the diagonal, so that a residual that is nearly a line spectrum, or zero, has a filter.
+    Least squares on the lagged samples (the covariance method).
     """
+    return _prediction_error([residual], 0, Noise(0.0, order)).own
+
+
+def unpredictable(residual: Array, noise: Noise) -> float:
+    """Return the standard deviation of what the past of a residual (N,) itself does not tell of it."""
+    white = _prediction_error([residual], 0, noise.alone())([residual], 0)
+    return max(float(np.sqrt(np.mean(white**2))), noise.floor)
+
+
+def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> PredictionError:
+    """Return the prediction-error filter of channel number `place`, by least squares."""
+    order = noise.order
     if order == 0:
-        return np.ones(1)
-    moments = _moments(residual - residual.mean(), order)
-    variance = float(moments[0, 0])
-    if variance <= 0.0:
-        return np.concatenate([[1.0], np.zeros(order)])
-    known = moments[:order, :order] + 1e-10 * variance * np.eye(order)
-    return np.concatenate([[1.0], -np.linalg.solve(known, moments[:order, order])[::-1]])
+        return PredictionError(np.ones(1), np.zeros(0), 0)
+    both = [channels[place + further] for further in dict.fromkeys((0, noise.beside))]
+    both = [channel - channel.mean() for channel in both]
+    moments = np.block([[_moments(x, y, order) for y in both] for x in both])
+    variances = np.repeat(np.diag(moments)[:: order + 1], order + 1)
+    # Samples n - p to n, channel by channel: the present of a channel is told by its past, by the
+    # other's, and that of the second of a pair by the present of the first.
+    told_by = variances > 0.0
+    told_by[order] = False
+    if noise.beside > 0:
+        told_by[-1] = False
+    taps = np.zeros(len(moments))
+    if variances[0] > 0.0:
+        known = moments[np.ix_(told_by, told_by)] + np.diag(RIDGE * variances[told_by])
+        taps[told_by] = -np.linalg.solve(known, moments[told_by, order])
+    taps[order] = 1.0
+    mine, others = taps[: order + 1][::-1], taps[order + 1 :][::-1]
+    return PredictionError(mine, others, noise.beside)
 
 
-def _moments(x: Array, order: int) -> Array:
+def _moments(x: Array, y: Array, order: int) -> Array:
     """
-    Return the sums m_ij = sum over n = p ... N - 1 of x[n - p + i] x[n - p + j], for i, j = 0 ... p.
+    Return the sums m_ij = sum over n = p ... N - 1 of x[n - p + i] y[n - p + j], for i, j = 0 ... p.
 
     Down a diagonal only the first and the last product change:
-    m_(i+1)(j+1) = m_ij - x[i] x[j] + x[N - p + i] x[N - p + j].
+    m_(i+1)(j+1) = m_ij - x[i] y[j] + x[N - p + i] y[N - p + j].
     """
     rows = len(x) - order
-    first, last = x[:order], x[rows:]
     moments = np.zeros((order + 1, order + 1))
-    moments[0] = np.correlate(x, x[:rows], 'valid')
+    moments[0] = np.correlate(y, x[:rows], 'valid')
+    moments[:, 0] = np.correlate(x, y[:rows], 'valid')
+    change = np.outer(x[rows:], y[rows:]) - np.outer(x[:order], y[:order])
     for i in range(order):
-        moments[i + 1, i + 1 :] = moments[i, i:-1] - first[i] * first[i:] + last[i] * last[i:]
-    return np.triu(moments) + np.triu(moments, 1).T
+        moments[i + 1, 1:] = moments[i, :-1] + change[i]
+    return moments
 
 
 @dataclass(frozen=True)
@@ -71,8 +157,8 @@ class Fit:
     A fit of residual + signature @ value = noise.
 
     `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
-    the white residual of each channel, divided by its standard deviation; `filters` and `deviations`
-    those of each channel.
+    the white residual of each channel, divided by its standard deviation; `filters`, `deviations` and
+    what was known of the `noises` those of each channel.
     """
 
     value: Array
@@ -80,34 +166,28 @@ class Fit:
     log_likelihood: float
     samples: int
     whitened: tuple[Array, ...]
-    filters: tuple[Array, ...]
+    filters: tuple[PredictionError, ...]
     deviations: tuple[float, ...]
+    noises: tuple[Noise, ...]
 
 
 def fit(
     residuals: Sequence[Array],
     signatures: Sequence[Array],
-    floors: Sequence[float],
-    orders: Sequence[int],
+    noises: Sequence[Noise],
     rounds: int = 4,
 ) -> Fit:
-    """
-    Fit the signatures (N, k) of all channels to their residuals (N,).
-
-    `orders` are those of the autoregression, 0 for white noise; `floors` are the smallest standard
-    deviations of white noise that each channel can have (that of its resolution): a perfect fit is
-    not infinitely likely.
-    """
+    """Fit the signatures (N, k) of all channels to their residuals (N,)."""
     count = signatures[0].shape[1]
     value = np.zeros(count)
     if not count:
-        return _result(residuals, signatures, value, np.zeros((0, 0)), floors, orders)
+        return _result(residuals, value, np.zeros((0, 0)), noises)
     for _ in range(rounds):
-        left = [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
-        filters = [autoregression(r, order) for r, order in zip(left, orders, strict=True)]
+        left = _left(residuals, signatures, value)
+        filters = [_prediction_error(left, place, noise) for place, noise in enumerate(noises)]
         deviations = [
-            _deviation(r, taps, floor)
-            for r, taps, floor in zip(left, filters, floors, strict=True)
+            max(float(np.sqrt(np.mean(white**2))), noise.floor)
+            for white, noise in zip(_filtered(filters, left), noises, strict=True)
         ]
         matrix, right = whitened(residuals, signatures, filters, deviations)
         scale = np.sqrt(np.sum(matrix**2, axis=0))
@@ -116,13 +196,26 @@ def fit(
         value = solution / scale
     inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
     covariance = inverse / np.outer(scale, scale)
-    return _result(residuals, signatures, value, covariance, floors, orders)
+    return _result(_left(residuals, signatures, value), value, covariance, noises)
+
+
+def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:
+    """Return how likely residuals (N,) are as they stand."""
+    return _result(residuals, np.zeros(0), np.zeros((0, 0)), noises)
+
+
+def _left(residuals: Sequence[Array], signatures: Sequence[Array], value: Array) -> list[Array]:
+    return [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
+
+
+def _filtered(filters: Sequence[PredictionError], channels: Sequence[Array]) -> list[Array]:
+    return [one(channels, place) for place, one in enumerate(filters)]
 
 
 def whitened(
     residuals: Sequence[Array],
     signatures: Sequence[Array],
-    filters: Sequence[Array],
+    filters: Sequence[PredictionError],
     deviations: Sequence[float],
 ) -> tuple[Array, Array]:
     """
@@ -130,57 +223,48 @@ def whitened(
 
     The value x that explains the residuals best is where |A x - b|^2 is least.
     """
-    rows, right = [], []
-    for r, s, taps, deviation in zip(residuals, signatures, filters, deviations, strict=True):
-        order = len(taps) - 1
-        rows.append(lfilter(taps, 1.0, s, axis=0)[order:] / deviation)
-        right.append(-lfilter(taps, 1.0, r)[order:] / deviation)
-    return np.vstack(rows), np.concatenate(right)
+    rows = in_deviations(filters, deviations, signatures)
+    right = in_deviations(filters, deviations, residuals)
+    return np.vstack(rows), -np.concatenate(right)
 
 
-def _deviation(left: Array, taps: Array, floor: float) -> float:
-    """Return the standard deviation of what a filter leaves, the first samples aside."""
-    white = lfilter(taps, 1.0, left)[len(taps) - 1 :]
-    return max(float(np.sqrt(np.mean(white**2))), floor)
+def in_deviations(
+    filters: Sequence[PredictionError], deviations: Sequence[float], channels: Sequence[Array]
+) -> list[Array]:
+    """Return channels, (N,) or (N, k), each filtered and in its standard deviations."""
+    return [
+        white / deviation
+        for white, deviation in zip(_filtered(filters, channels), deviations, strict=True)
+    ]
 
 
 def _result(
-    residuals: Sequence[Array],
-    signatures: Sequence[Array],
-    value: Array,
-    covariance: Array,
-    floors: Sequence[float],
-    orders: Sequence[int],
+    left: Sequence[Array], value: Array, covariance: Array, noises: Sequence[Noise]
 ) -> Fit:
-    """Judge a value of the parameters: filter, variance and likelihood anew."""
+    """Judge what is left over: filter, variance and likelihood."""
     log_likelihood, samples = 0.0, 0
-    whitened, filters, deviations = [], [], []
-    for r, s, floor, order in zip(residuals, signatures, floors, orders, strict=True):
-        left = r + s @ value
-        taps = autoregression(left, order)
-        white = lfilter(taps, 1.0, left)[order:]
+    filters = [_prediction_error(left, place, noise) for place, noise in enumerate(noises)]
+    in_units, deviations = [], []
+    for white, noise in zip(_filtered(filters, left), noises, strict=True):
         square = float(np.mean(white**2))
-        deviation = max(math.sqrt(square), floor)
+        deviation = max(math.sqrt(square), noise.floor)
         above = square / deviation**2 - 1.0  # zero unless the floor holds the deviation up
         log_likelihood -= len(white) * (math.log(deviation) + 0.5 * above)
         samples += len(white)
-        whitened.append(white / deviation)
-        filters.append(taps)
+        in_units.append(white / deviation)
         deviations.append(deviation)
     return Fit(
         value,
         covariance,
         log_likelihood,
         samples,
-        tuple(whitened),
+        tuple(in_units),
         tuple(filters),
         tuple(deviations),
+        tuple(noises),
     )
 
 
 def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:
-    """Return channels (N,), each filtered by what a fit found for it, in its standard deviations."""
-    return [
-        lfilter(taps, 1.0, channel)[len(taps) - 1 :] / deviation
-        for channel, taps, deviation in zip(channels, fit.filters, fit.deviations, strict=True)
-    ]
+    """Return channels, (N,) or (N, k), filtered as a fit found for them, in their deviations."""
+    return in_deviations(fit.filters, fit.deviations, channels)

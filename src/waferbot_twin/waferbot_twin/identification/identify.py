@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.problem import UNITS, BlockOfLog, Problem
@@ -25,9 +25,6 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.estimation import Estimate, Progress, estimate
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
-
-AXIS_OF = dict(zip(ENCODERS, (*AXES, AXES[-1]), strict=True))
-"""The axis that an encoder tells of."""
 
 AT_BOUND = 0.01
 """Distance from its bound, in half ranges, at which a parameter is said to be there."""
@@ -129,7 +126,7 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                     hypothesis.residuals[block][place]
                     for hypothesis in (found.before, found.after)
                 )
-                taps = found.after.fits[block].filters[place]
+                fitted = found.after.fits[block]
                 result.append(
                     Channel(
                         block,
@@ -138,24 +135,24 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                         UNITS[block],
                         float(np.sqrt(np.mean(before**2))),
                         float(np.sqrt(np.mean(after**2))),
-                        _whiteness(part, name, after, taps),
+                        _whiteness(
+                            part, name, fitted.whitened[place], fitted.filters[place].order
+                        ),
                     )
                 )
                 place += 1
     return result
 
 
-def _whiteness(part: BlockOfLog, name: str, residual: Array, taps: Array) -> Whiteness | None:
+def _whiteness(part: BlockOfLog, name: str, white: Array, order: int) -> Whiteness | None:
     """Return how white a channel is; None where it is rounding that is left over, or it is short."""
-    order = len(taps) - 1
-    white = lfilter(taps, 1.0, residual)[order:]
     if order == 0 or len(white) <= 2 * LAGS:
         return None
     commanded = part.record.commanded
     if commanded is None or name not in ENCODERS:
         return whiteness(white, order)
     # Residuals are one for every servo cycle, but for those left out at the beginning.
-    tail = commanded[len(commanded) - len(residual) :, AXES.index(AXIS_OF[name])]
+    tail = commanded[len(commanded) - len(white) - order :, AXES.index(AXIS_OF[name])]
     if not np.ptp(tail) > 0.0:
         return whiteness(white, order)
     return whiteness(white, order, lfilter(autoregression(tail, order), 1.0, tail)[order:])
