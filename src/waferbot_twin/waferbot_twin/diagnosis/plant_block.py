@@ -9,13 +9,15 @@ Luenberger observer does,
     e = y - c x        x += l1 e / c        x' += l2 e / c
     l1 = 1 - q^2       l2 = (1 + q^2 - 2 q cos(sqrt(1 - z^2) w h)) / h       q = exp(-z w h)
 
-with c counts per unit, h the time since the reading before, w and z the observer's frequency and
+with c counts per unit, h the time since the correction before, w and z the observer's frequency and
 damping: the error of a double integrator then dies out as exp(-z w t) at whatever times readings come
 (for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in counts, is the block's residual. A
 force F that the model lacks appears in it as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of
 the force itself, so w is chosen above what moves the machine, 80 Hz, but no more than a sixth of the
 rate at which readings come: what a slow log cannot show is not looked for in it. Whitening takes out
-what w and z were; all models that are compared have the same.
+what w and z were; all models that are compared have the same. Where several readings make a sample
+of the residual, their mean corrects the plant when the sample ends: a sample is what was predicted from
+those before it, whatever an observer follows.
 
 A reading that is late is compared with where the plant was by then, as corrected since: without the
 latter the observer, and with it the spread of e, would depend on the delay.
@@ -93,7 +95,7 @@ class PlantBlock:
     """
     The plant's residual of one log, for any variant of the model.
 
-    A sample of the residual is the mean over `group` readings, so that its rate is about the servo's,
+    A sample of the residual is the mean over a group of readings, so that its rate is about the servo's,
     or that of the log where it is slower. `order` is that of the autoregression: forces that shake the
     machine are coloured.
     """
@@ -115,6 +117,7 @@ class PlantBlock:
         self._samples: list[NDArray[np.intp]] = []
         self.rates_hz: list[float] = []
         self._observer_hz = np.zeros(len(ENCODERS))
+        self._ends = np.zeros(record.reading.shape, np.bool_)
         floors = []
         for place in self._places:
             rows = np.flatnonzero(known[:, place])
@@ -123,7 +126,8 @@ class PlantBlock:
             self._observer_hz[place] = min(observer_hz, rate_hz / READINGS_PER_CYCLE)
             settling = SETTLING_CYCLES / self._observer_hz[place] * timing.encoder_hz
             group = max(1, round(rate_hz / timing.servo_hz))
-            samples = _samples(rows, group, GAP * usual, settling)
+            samples, ends = _samples(rows, group, GAP * usual, settling)
+            self._ends[ends, place] = True
             judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
             self._samples.append(samples[judged])
             self.rates_hz.append(rate_hz / group)
@@ -187,6 +191,7 @@ class PlantBlock:
             behind,
             record.reading,
             np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
+            self._ends,
             _standing(machine.description, p, together),
             np.zeros(9),
             innovation,
@@ -288,22 +293,20 @@ def _joint(p: np.void, one: int, other: int) -> int:
 
 def _samples(
     rows: NDArray[np.intp], group: int, longest: float, settling: float
-) -> NDArray[np.intp]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """
-    Return the rows (samples, group) of the readings that make each sample of the residual.
+    Return the rows (samples, group) of the readings that make each sample, and where samples end.
 
     Left out is what lies within `settling` rows of the first reading, or of the first one behind a
-    time of more than `longest` rows without any.
+    time of more than `longest` rows without any; there samples end, too.
     """
-    begins = np.concatenate([[0], np.flatnonzero(np.diff(rows) > longest) + 1])
-    ends = np.concatenate([begins[1:], [len(rows)]])
-    parts = []
-    for begin, end in zip(begins, ends, strict=True):
-        stretch = rows[begin:end]
-        stretch = stretch[stretch >= stretch[0] + settling]
+    parts, ends = [], []
+    for stretch in np.split(rows, np.flatnonzero(np.diff(rows) > longest) + 1):
         whole = len(stretch) // group
-        parts.append(stretch[: whole * group].reshape(whole, group))
-    return np.concatenate(parts)
+        samples = stretch[: whole * group].reshape(whole, group)
+        parts.append(samples[samples[:, 0] >= stretch[0] + settling])
+        ends += [samples[:, -1], stretch[-1:]]
+    return np.concatenate(parts), np.concatenate(ends)
 
 
 @compiled
@@ -319,6 +322,7 @@ def _drive(
     behind,
     reading,
     late_s,
+    ends,
     standing,
     no_voltage,
     innovation,
@@ -328,11 +332,11 @@ def _drive(
 
     `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
     currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
-    missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much
-    after its tick each was taken (0, 4 if never). `observer` (4,) rad/s; `together` (encoders, z) says
-    how far it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the
-    encoder at the other end. Coordinates of `standing` (z,) do not move. Returns the coordinate for
-    which the simulation blew up, or -1.
+    missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much after
+    its tick each was taken (0, 4 if never); `ends` (n / divider, 4) where a sample ends. `observer` (4,)
+    rad/s; `together` (encoders, z) says how far it moves each coordinate; `behind` (encoders, 2) the
+    spring that it is behind and the encoder at the other end. Coordinates of `standing` (z,) do not
+    move. Returns the coordinate for which the simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -342,6 +346,8 @@ def _drive(
     gains = np.zeros((2, reading.shape[1]))
     corrected = np.zeros(reading.shape[1])
     left = np.zeros(reading.shape[1])
+    summed = np.zeros(reading.shape[1])
+    count = np.zeros(reading.shape[1])
     inertia = np.ones(reading.shape[1])
     multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
     for encoder in range(reading.shape[1]):
@@ -381,6 +387,13 @@ def _drive(
                 if late_s.shape[0]:
                     error -= late_s[row, encoder] * s['velocity'][coordinate] * per_unit
                 innovation[row, encoder] = error
+                summed[encoder] += error
+                count[encoder] += 1.0
+                if not ends[row, encoder]:
+                    continue
+                error = summed[encoder] / count[encoder]
+                summed[encoder] = 0.0
+                count[encoder] = 0.0
                 passed = row - last_row[encoder]
                 last_row[encoder] = row
                 if passed != gains_for[encoder]:
