@@ -90,7 +90,7 @@ def test_a_rival_that_wins_takes_the_place_of_a_cause_that_loses(monkeypatch):
     found = Search(hypothesis(wrong), hypothesis(wrong), hypothesis(), hypothesis())
     found.gains = {wrong.name: 40.0}
     found.rivals = {wrong.name: [Rival(far_off, 90.0, 80.0), Rival(right, 9.0, 2.0)]}
-    asked = []
+    asked, problem = [], Problem(nominal, [])
 
     def gains(nominal, extended, records):
         asked.append(extended)
@@ -100,13 +100,13 @@ def test_a_rival_that_wins_takes_the_place_of_a_cause_that_loses(monkeypatch):
     monkeypatch.setattr(withdrawal, 'gains', gains)
     monkeypatch.setattr(rivalry, 'fit_causes', lambda problem, causes: hypothesis(*causes))
     monkeypatch.setattr(rivalry, 'evaluate', lambda problem, causes: hypothesis(*causes))
-    winning = withdrawal.that_wins(nominal, None, found, None, [], [])
+    winning = withdrawal.that_wins(problem, problem, found, [])
     assert [cause.name for cause in winning.found.causes] == [right.name]
     assert winning.gains[right.name] == 40.0 - 9.0
     assert winning.rivals[right.name][0] == Rival(wrong, -9.0, -2.0)
     found.rivals = {wrong.name: [Rival(far_off, 90.0, 80.0)]}
     asked.clear()
-    assert withdrawal.that_wins(nominal, None, found, None, [], []) is None
+    assert withdrawal.that_wins(problem, problem, found, []) is None
     assert len(asked) == 1
 
 
@@ -127,7 +127,8 @@ def test_no_rival_is_fitted_if_what_was_found_wins(monkeypatch):
     monkeypatch.setattr(
         withdrawal, 'gains', lambda *rest: [gain('x_rotate', BEFORE, 0.5 * BEFORE)]
     )
-    assert withdrawal.that_wins(nominal, None, found, None, [], []) is found
+    problem = Problem(nominal, [])
+    assert withdrawal.that_wins(problem, problem, found, []) is found
 
 
 def test_the_one_cause_that_makes_a_loop_swing_is_withdrawn_alone(monkeypatch):
@@ -160,7 +161,7 @@ def test_the_one_cause_that_makes_a_loop_swing_is_withdrawn_alone(monkeypatch):
         withdrawal, 'evaluate', lambda problem, causes: Hypothesis(tuple(causes), {}, {})
     )
     problem = Problem(nominal, [])
-    winning = withdrawal.that_wins(nominal, problem, found, problem, [], [])
+    winning = withdrawal.that_wins(problem, problem, found, [])
     assert winning.found.causes == (causes[0], causes[2])
     np.testing.assert_allclose(winning.found.covariance, covariance[np.ix_([0, 2], [0, 2])])
     assert taken_out(found, winning) == [harm]

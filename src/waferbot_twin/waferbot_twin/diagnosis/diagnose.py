@@ -171,16 +171,16 @@ def diagnose(
     if not far(found.found):
         found = weighed_in_all_logs(problem, judge, found, progress)
     withdrawn: list[Cause] = []
-    winning = that_wins(nominal, problem, found, judge, judging, notes)
+    said: list[str] = []
+    winning = that_wins(problem, judge, found, said)
     if winning is None:
         other = search(judge, problem, effects, progress, workers)
-        instead = that_wins(nominal, judge, other, problem, finding, notes)
+        instead = that_wins(judge, problem, other, [])
         if instead is not None and instead.found.causes:
             found, winning = other, instead
             problem, judge, finding, judging = judge, problem, judging, finding
-            notes.append(
-                'what the logs for finding show does not win: the others found, these judged'
-            )
+            said = ['what the logs for finding show does not win: the others found, these judged']
+    notes += said
     if winning is None:
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
@@ -188,17 +188,18 @@ def diagnose(
         withdrawn = _taken_out(found, winning)
         found = winning
     rest = left_over(problem, judge, found, progress, workers)
-    extended = apply_all(nominal, (*found.found.causes, *rest.tables))
-    axis_gains = gains(nominal, extended, list(judging))
+    causes = (*found.found.causes, *rest.tables)
+    extended = apply_all(nominal, causes)
+    axis_gains = gains(roomy, apply_all(roomy, causes), judging)
     notes += rest.notes
     notes += _stands_for(extended, found.found.causes)
     where = _where(problem, found)
-    causes = _found_causes(problem, found, rest)
+    found_causes = _found_causes(problem, found, rest)
     return Diagnosis(
         nominal,
         extended,
-        _verdict(causes, rest.axes),
-        causes,
+        _verdict(found_causes, rest.axes),
+        found_causes,
         withdrawn,
         rest.tables,
         rest.axes,

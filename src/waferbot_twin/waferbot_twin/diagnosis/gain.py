@@ -11,6 +11,7 @@ the model alone for about as long as `FREE_S`, and holds no more than its drift.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +59,7 @@ class AxisGain:
         return performance_improvement(self.rms_before, self.rms_after)
 
 
-def gains(nominal: Variant, extended: Variant, records: list[Record]) -> list[AxisGain]:
+def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> list[AxisGain]:
     """Return the gain of every axis in every log; raises `UserError` if a model is unstable."""
     return [item for record in records for item in _gains_of(nominal, extended, record)]
 

@@ -21,10 +21,9 @@ from waferbot_twin.diagnosis.fitting import names_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.rivalry import exchanged
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
-from waferbot_twin.effects.variant import Variant
 
 LOSES = 0.02
 """Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""
@@ -36,14 +35,7 @@ STRETCHES, PLAINLY = 20, 3.0
 """Into how many stretches a log is divided, and how many standard errors are plain."""
 
 
-def that_wins(
-    nominal: Variant,
-    problem: Problem,
-    found: Search,
-    judge: Problem,
-    judging: Sequence[Record],
-    notes: list[str],
-) -> Search | None:
+def that_wins(problem: Problem, judge: Problem, found: Search, notes: list[str]) -> Search | None:
     """
     Return the search with causes that win on the logs for judging, or None if none do.
 
@@ -55,12 +47,12 @@ def that_wins(
     candidates = itertools.chain(
         [found],
         _with_rivals(problem, judge, found),
-        _without_the_worst(nominal, problem, judge, found, judging),
+        _without_the_worst(problem, judge, found),
     )
     for candidate in candidates:
         causes = candidate.found.causes
         try:
-            extension = gains(nominal, apply_all(nominal, causes), list(judging))
+            extension = _gains(judge, causes)
         except UserError as error:
             if not causes:
                 raise
@@ -70,6 +62,11 @@ def that_wins(
             return candidate
     notes += dict.fromkeys(reasons)
     return None
+
+
+def _gains(judge: Problem, causes: Sequence[Cause]) -> list[AxisGain]:
+    """Return what causes gain in the logs for judging; raises `UserError` if the machine is unstable."""
+    return gains(judge.nominal, apply_all(judge.nominal, causes), judge.records)
 
 
 def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Search]:
@@ -85,19 +82,13 @@ def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Se
                 continue
 
 
-def _without_the_worst(
-    nominal: Variant,
-    problem: Problem,
-    judge: Problem,
-    found: Search,
-    judging: Sequence[Record],
-) -> Iterator[Search]:
+def _without_the_worst(problem: Problem, judge: Problem, found: Search) -> Iterator[Search]:
     """Give the search without one cause on the axis that loses most: the one that does the harm."""
     causes = found.found.causes
     if len(causes) < 2:
         return
     try:
-        extension = gains(nominal, apply_all(nominal, causes), list(judging))
+        extension = _gains(judge, causes)
     except UserError:
         extension = []
     most = max(extension, key=_ratio, default=None)
@@ -107,7 +98,7 @@ def _without_the_worst(
             continue
         fewer = (*causes[:place], *causes[place + 1 :])
         try:
-            axis_gains = gains(nominal, apply_all(nominal, fewer), list(judging))
+            axis_gains = _gains(judge, fewer)
         except UserError:
             continue
         error = sum(_ratio(item) ** 2 for item in axis_gains)
