@@ -391,21 +391,29 @@ def test_there_is_one_floor_and_each_direction_of_it_has_one_name():
     assert np.max(cosines - np.eye(len(directions))) < 0.9
 
 
-@pytest.mark.parametrize('name', ['gearbox_friction', 'gearbox_damping'])
-def test_friction_of_a_gearbox_is_told_from_that_of_its_axis_only_if_the_drive_gives(name):
+@pytest.mark.parametrize(
+    ('name', 'axis', 'power'),
+    [
+        ('counterweight_friction', 'y_linear', 1),
+        ('gearbox_friction', 'y_rotate', 1),
+        ('gearbox_damping', 'y_rotate', 2),  # the speed of the motor is larger by the ratio, too
+    ],
+)
+def test_friction_behind_what_may_give_is_told_from_that_of_the_axis_only_if_it_does(
+    name, axis, power
+):
     effect = find(name)
     rigid, flexible = (Variant.of(load_model(model)) for model in ('rigid', 'flexible'))
-    assert effect.axes(rigid) == effect.axes(flexible) == ('y_rotate',)
+    assert effect.axes(rigid) == effect.axes(flexible) == (axis,)
     assert effect.distinct_axes(rigid) == ()
-    assert effect.distinct_axes(flexible) == ('y_rotate',)
-    # In the rigid model the same torque at the axis moves it in the same way.
-    ratio = places.motor_ratio(rigid, 'y_rotate')
+    assert effect.distinct_axes(flexible) == (axis,)
+    # In the rigid model the same force at the axis moves it in the same way.
+    ratio = places.motor_ratio(rigid, axis)
     same = find(effect.same_as)
-    value = next(iter(effect.typical(rigid, 'y_rotate').values()))
-    power = 1 if name == 'gearbox_friction' else 2  # the speed of the motor is larger by it, too
-    (of_motor,), (of_axis,) = (item.parameters(rigid, 'y_rotate') for item in (effect, same))
-    one = effect.apply(rigid, 'y_rotate', {of_motor.name: value})
-    other = same.apply(rigid, 'y_rotate', {of_axis.name: value * ratio**power})
+    value = next(iter(effect.typical(rigid, axis).values()))
+    (behind,), (of_axis,) = (item.parameters(rigid, axis) for item in (effect, same))
+    one = effect.apply(rigid, axis, {behind.name: value})
+    other = same.apply(rigid, axis, {of_axis.name: value * ratio**power})
     moved = [twin(variant).advance(600).counts for variant in (one, other)]
     assert np.max(np.abs(moved[0] - moved[1])) <= 1
     assert np.max(np.abs(moved[0] - nominal_signals().counts[: len(moved[0])])) > 1

@@ -6,6 +6,9 @@ The signature of an effect, what a little of it changes in the residuals, comes 
 itself, so a new effect needs no formula of its own here. Signatures are found once, with the causes that
 were known then; a later round finds anew only those that look most likely.
 
+An effect that changes the structure of a machine as soon as there is any of it, and only then grows in
+proportion, begins where there is a little: what that little changes is taken from the residuals first.
+
 An effect with a threshold changes nothing while there is little of it. It is tried on several `rungs`,
 and its signature is the whole of what it changes there, fitted with a factor; so is that of an effect
 whose size the logs show themselves.
@@ -14,7 +17,7 @@ whose size the logs show themselves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,11 +26,18 @@ from joblib import Parallel, delayed
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import (
     Hypothesis,
+    evaluate,
     parameters_of,
     signature,
     whole_change,
 )
-from waferbot_twin.diagnosis.jointly import Signature, fit_jointly, side_by_side
+from waferbot_twin.diagnosis.jointly import (
+    Residuals,
+    Signature,
+    by_channel,
+    fit_jointly,
+    side_by_side,
+)
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.rungs import rungs
@@ -38,6 +48,19 @@ Progress = Callable[[str, int, int], None]
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """
+    What a candidate changes in the residuals: a `signature` by block, as in `jointly`.
+
+    `there` is what the little of it that there is changes already: arrays (samples of all channels,),
+    by block; of most there is none.
+    """
+
+    signature: Signature
+    there: Mapping[str, Array]
 
 
 @dataclass(frozen=True)
@@ -64,7 +87,9 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
             held = tuple(item.name for item in parameters if item.fixed)
             for trial in effect.trials(problem.nominal, axis):
                 values = {
-                    item.name: trial.get(item.name, item.typical if item.shape else item.neutral)
+                    item.name: trial.get(item.name, item.typical)
+                    if item.shape
+                    else item.neutral + effect.begins_at * (item.typical - item.neutral)
                     for item in parameters
                 }
                 cause = Cause(effect, axis, values, held)
@@ -91,14 +116,14 @@ def signatures(
     rivals: Sequence[Cause],
     workers: int,
     progress: Progress,
-) -> list[Signature | None]:
+) -> list[Change | None]:
     """
-    Return the signature of every rival beside the causes of `base`.
+    Return what every rival changes beside the causes of `base`.
 
     None for one with which the simulation blows up.
     """
     chunks = [rivals[first : first + CHUNK] for first in range(0, len(rivals), CHUNK)]
-    found: list[Signature | None] = []
+    found: list[Change | None] = []
     pool = Parallel(n_jobs=workers, return_as='generator')
     for part in pool(delayed(_signatures)(problem, base, chunk) for chunk in chunks):
         found += part
@@ -108,35 +133,47 @@ def signatures(
 
 def _signatures(
     problem: Problem, base: Hypothesis, rivals: Sequence[Cause]
-) -> list[Signature | None]:
-    found: list[Signature | None] = []
+) -> list[Change | None]:
+    found: list[Change | None] = []
     for rival in rivals:
         causes = (*base.causes, rival)
         try:
-            if _tried_as_a_whole(problem, rival):
-                own = whole_change(problem, base, causes)
-            else:
-                own = signature(problem, base, causes, len(causes) - 1)
+            change = _change(problem, base, causes)
         except UserError:
             found.append(None)
             continue
-        sound = all(np.isfinite(matrix).all() for matrix in own.values())
-        found.append(own if sound else None)
+        sound = all(np.isfinite(matrix).all() for matrix in change.signature.values())
+        found.append(change if sound else None)
     return found
+
+
+def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Change:
+    """Return what the last of `causes` changes; raises `UserError` if the simulation blows up."""
+    rival = causes[-1]
+    if _tried_as_a_whole(problem, rival):
+        return Change(whole_change(problem, base, causes), {})
+    if rival.effect.begins_at == 0.0:
+        return Change(signature(problem, base, causes, len(causes) - 1), {})
+    begun = evaluate(problem, causes)
+    return Change(
+        signature(problem, begun, causes, len(causes) - 1),
+        {block: column[:, 0] for block, column in whole_change(problem, base, causes).items()},
+    )
 
 
 def screen(
     problem: Problem,
     base: Hypothesis,
     rivals: Sequence[Cause],
-    of_rivals: Sequence[Signature | None],
+    of_rivals: Sequence[Change | None],
     of_base: Sequence[Signature],
 ) -> list[Screened]:
     """Fit every rival linearly, each beside the causes of `base`; best first."""
     found = []
-    for rival, own in zip(rivals, of_rivals, strict=True):
-        shown = {block: matrix for block, matrix in (own or {}).items() if matrix.any()}
-        if not shown:
+    for rival, change in zip(rivals, of_rivals, strict=True):
+        own = change.signature if change else {}
+        shown = {block: matrix for block, matrix in own.items() if matrix.any()}
+        if not change or not shown:
             continue
         parameters = len(parameters_of(problem, rival))
         whole = _tried_as_a_whole(problem, rival)
@@ -149,7 +186,8 @@ def screen(
             ],
             [count, *(next(iter(item.values())).shape[1] for item in beside)],
         )
-        estimate = fit_jointly(problem, base.residuals, everything, rounds=2)
+        residuals = _with_change(base.residuals, change.there)
+        estimate = fit_jointly(problem, residuals, everything, rounds=2)
         before = sum(base.fits[block].log_likelihood for block in shown)
         gain = 2.0 * (estimate.log_likelihood - before)
         value = estimate.value[:count]
@@ -163,9 +201,22 @@ def screen(
     return sorted(found, key=lambda item: (-item.score, item.cause.name))
 
 
+def _with_change(residuals: Residuals, there: Mapping[str, Array]) -> Residuals:
+    """Return residuals with what a little of a candidate changes."""
+    return {
+        block: [
+            one + more
+            for one, more in zip(channels, by_channel(there[block], channels), strict=True)
+        ]
+        if block in there
+        else channels
+        for block, channels in residuals.items()
+    }
+
+
 def _tried_as_a_whole(problem: Problem, rival: Cause) -> bool:
     """Return whether there is something of a candidate already, as a trial or on a rung."""
-    return any(
+    return rival.effect.begins_at == 0.0 and any(
         not item.shape and rival.values[item.name] != item.neutral
         for item in parameters_of(problem, rival)
     )

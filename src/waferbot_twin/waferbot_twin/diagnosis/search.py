@@ -33,10 +33,10 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import fit_causes, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
-from waferbot_twin.diagnosis.jointly import Signature
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.resonances import screen_lines
 from waferbot_twin.diagnosis.screening import (
+    Change,
     Progress,
     Screened,
     candidates,
@@ -203,7 +203,7 @@ def _revise(
     judging: Problem,
     state: Search,
     every: Sequence[Cause],
-    known: Sequence[Signature | None],
+    known: Sequence[Change | None],
     workers: int,
     progress: Progress,
 ) -> None:
@@ -252,7 +252,7 @@ def _choose_again(
     state: Search,
     cause: Cause,
     every: Sequence[Cause],
-    known: Sequence[Signature | None],
+    known: Sequence[Change | None],
     workers: int,
     progress: Progress,
 ) -> None:
@@ -283,7 +283,7 @@ def _screen_round(
     problem: Problem,
     base: Hypothesis,
     every: Sequence[Cause],
-    known: Sequence[Signature | None],
+    known: Sequence[Change | None],
     workers: int,
     progress: Progress,
 ) -> list[Screened]:

@@ -15,22 +15,18 @@ from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 
 
-def _driven_body(variant: Variant, axis: str) -> str | None:
-    """Return the body that a cable from the axis drives."""
-    for transmission in variant.description.transmissions.values():
-        if transmission.pulls_only and transmission.driving == places.coordinate(variant, axis):
-            for joint in variant.description.joints.values():
-                if any(freedom.name == transmission.driven for freedom in joint.freedoms):
-                    return joint.child
-    return None
-
-
-def _axes(variant: Variant) -> tuple[str, ...]:
-    return tuple(axis for axis in places.motor_axes(variant) if _driven_body(variant, axis))
+def _body(variant: Variant, axis: str) -> str:
+    """Return the name of the body that a cable from the axis drives."""
+    driven = places.counterweight_coordinate(variant, axis)
+    return next(
+        joint.child
+        for joint in variant.description.joints.values()
+        if any(freedom.name == driven for freedom in joint.freedoms)
+    )
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-    mass = variant.description.bodies[_driven_body(variant, axis) or ''].mass
+    mass = variant.description.bodies[_body(variant, axis)].mass
     return (
         Parameter(
             'mass', 'kg', 0.0, 0.02 * mass, -0.8 * mass, 2.0 * mass, 'more than the model has'
@@ -39,7 +35,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    name = _driven_body(variant, axis) or ''
+    name = _body(variant, axis)
     mass = variant.description.bodies[name].mass + values['mass']
     return Overlay({'bodies': {name: {'mass_kg': mass}}})
 
@@ -48,7 +44,7 @@ EFFECT = Effect(
     'counterweight_mass',
     Block.PLANT,
     'counterweight heavier or lighter than in the model',
-    _axes,
+    places.counterweight_axes,
     _parameters,
     _overlay,
     equation="(M + mass) x'' = ... + mass g",

@@ -81,10 +81,11 @@ class Effect:
     documentation. An effect with a `threshold` (a limit, a gap) changes nothing while it is small: its
     signature must be sought at typical values, not near the neutral ones. A little of one that `rings`
     makes the machine ring, the higher the less there is of it. Where the model has none of an effect,
-    it is `tried_at` so many times its typical size, if a little of it says nothing of more. `tone` is
-    the shape parameter that is a frequency, if the effect is there at this one and nowhere else. Of a
-    `usual` one every machine has some: where a model is far off, it is likely among what lacks. One
-    that is `evident` stands in the readings themselves, and no noise feigns it; one in the
+    it is `tried_at` so many times its typical size, if a little of it says nothing of more; one that
+    grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
+    `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
+    else. Of a `usual` one every machine has some: where a model is far off, it is likely among what
+    lacks. One that is `evident` stands in the readings themselves, and no noise feigns it; one in the
     `drive_train` stands in the difference of the encoders of motor and load, if there are both. Where
     one is not `distinct` in a model, the effect `same_as` does exactly the same and stands for it.
     """
@@ -101,6 +102,7 @@ class Effect:
     usual: bool = False
     rings: bool = False
     tried_at: tuple[float, ...] = ()
+    begins_at: float = 0.0
     evident: bool = False
     drive_train: bool = False
     tone: str = ''

@@ -27,6 +27,9 @@ ON_AXIS = (
 ON_MOTOR = ('gearbox_friction', 'load_dependent_friction')
 """Effects with a slot on the coordinate of the motor."""
 
+ON_COUNTERWEIGHT = ('counterweight_friction',)
+"""Effects with a slot on the coordinate of the counterweight, on axes that have one."""
+
 DAMPING = ('gearbox_damping', 'viscous_friction')
 """Effects whose slot is a viscous damper."""
 
@@ -47,10 +50,9 @@ def slot(
 
     A table of resistance (N, Nm) over speed (m/s, rad/s), and the keys of a friction law.
     """
-    on_motor = effect in ON_MOTOR
-    turns = (places.motor_rotary if on_motor else places.rotary)(variant, axis)
+    coordinate, turns = _place(variant, axis, effect)
     entry = {
-        'coordinate': (places.motor_coordinate if on_motor else places.coordinate)(variant, axis),
+        'coordinate': coordinate,
         'speed_rad_s' if turns else 'speed_m_s': list(speeds),
         'torque_nm' if turns else 'force_n': list(resistances),
         **(law or {}),
@@ -58,12 +60,22 @@ def slot(
     return {'frictions': {f'{axis}_{effect}': entry}}
 
 
+def _place(variant: Variant, axis: str, effect: str) -> tuple[str, bool]:
+    """Return the coordinate that an effect resists on an axis, and whether that turns."""
+    if effect in ON_COUNTERWEIGHT:
+        coordinate = places.counterweight_coordinate(variant, axis)
+    elif effect in ON_MOTOR or effect in OF_GEARBOX:
+        coordinate = places.motor_coordinate(variant, axis)
+    else:
+        coordinate = places.coordinate(variant, axis)
+    return coordinate, bool(variant.description.revolute[coordinate])
+
+
 def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str, Any]:
     """Return the part of a description that fills a slot of damping, N s/m, Nm s/rad."""
-    on_motor = effect in OF_GEARBOX
-    turns = (places.motor_rotary if on_motor else places.rotary)(variant, axis)
+    coordinate, turns = _place(variant, axis, effect)
     entry = {
-        'coordinate': (places.motor_coordinate if on_motor else places.coordinate)(variant, axis),
+        'coordinate': coordinate,
         'damping_nm_s_rad' if turns else 'damping_n_s_m': damping,
     }
     return {'dampers': {f'{axis}_{effect}': entry}}
@@ -71,17 +83,21 @@ def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str
 
 def slots_of(variant: Variant, axis: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the effects that have a slot on an axis: of dry friction, and of damping."""
-    geared = axis in places.geared_axes(variant)
+    lacks: set[str] = set()
+    if axis not in places.geared_axes(variant):
+        lacks |= set(OF_GEARBOX)
+    if axis not in places.counterweight_axes(variant):
+        lacks |= set(ON_COUNTERWEIGHT)
     dry, viscous = (
-        tuple(effect for effect in effects if geared or effect not in OF_GEARBOX)
-        for effects in ((*ON_AXIS, *ON_MOTOR), DAMPING)
+        tuple(effect for effect in effects if effect not in lacks)
+        for effects in ((*ON_AXIS, *ON_MOTOR, *ON_COUNTERWEIGHT), DAMPING)
     )
     return dry, viscous
 
 
 def slots(axis: str) -> tuple[str, ...]:
     """Return the names of all slots of dry friction on an axis."""
-    return tuple(f'{axis}_{effect}' for effect in (*ON_AXIS, *ON_MOTOR))
+    return tuple(f'{axis}_{effect}' for effect in (*ON_AXIS, *ON_MOTOR, *ON_COUNTERWEIGHT))
 
 
 def of_axis(variant: Variant, axis: str) -> tuple[str, ...]:

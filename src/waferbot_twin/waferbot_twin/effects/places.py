@@ -70,6 +70,22 @@ def geared_axes(variant: Variant) -> tuple[str, ...]:
     )
 
 
+def counterweight_coordinate(variant: Variant, axis: str) -> str:
+    """Return the coordinate of the counterweight that a cable from an axis drives; '' without one."""
+    own = coordinate(variant, axis)
+    driven = (
+        transmission.driven
+        for transmission in variant.description.transmissions.values()
+        if transmission.pulls_only and transmission.driving == own
+    )
+    return next(driven, '')
+
+
+def counterweight_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a counterweight on a cable."""
+    return tuple(axis for axis in motor_axes(variant) if counterweight_coordinate(variant, axis))
+
+
 def drive_gives(variant: Variant, axis: str) -> bool:
     """Return whether anything gives between the motor and the axis."""
     return any(

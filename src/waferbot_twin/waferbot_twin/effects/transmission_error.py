@@ -92,4 +92,5 @@ EFFECT = Effect(
     _trials,
     equation='t = cosine cos(order phi) + sine sin(order phi)',
     drive_train=True,
+    begins_at=1e-3,
 )
