@@ -301,6 +301,42 @@ def test_independent_effects_commute() -> None:
         assert same_data(forth.copley, back.copley), what
 
 
+@pytest.mark.parametrize(
+    ('compliance', 'carried'),
+    [
+        ('gearbox_compliance', 'backlash'),
+        ('gearbox_compliance', 'transmission_error'),
+        ('belt_compliance', 'belt_slip'),
+        ('cable_compliance', 'cable_slack'),
+    ],
+)
+def test_a_part_that_gives_by_itself_carries_what_else_it_does(
+    compliance: str, carried: str
+) -> None:
+    """In either order: its stiffness and loss are its own, not those of a part that only carries."""
+    (axis,) = set(find(compliance).axes(nominal())) & set(find(carried).axes(nominal()))
+    alone = find(compliance).apply(nominal(), axis, {})
+    first = find(carried).apply(alone, axis, {})
+    last = find(compliance).apply(find(carried).apply(nominal(), axis, {}), axis, {})
+    assert same_data(first.machine, last.machine)
+    ((name, part),) = (
+        (name, part) for name, part in alone.description.connections.items() if part.flexible
+    )
+    for variant in (first, last):
+        assert variant.description.connections[name].stiffness == pytest.approx(part.stiffness)
+        assert variant.description.connections[name].loss_factor == part.loss_factor
+
+
+def test_what_only_carries_an_error_of_the_teeth_does_not_ring() -> None:
+    """With the loss of the gear, none, the loop made it swing by hundreds of counts at 500 Hz."""
+    effect = find('transmission_error')
+    typical = effect.typical(nominal(), 'y_rotate')
+    little = {**typical, 'cosine': 0.01 * typical['cosine'], 'sine': 0.01 * typical['sine']}
+    with_error = effect.apply(nominal(), 'y_rotate', little)
+    moved, as_usual = (twin(variant).advance(18000).counts for variant in (with_error, nominal()))
+    assert np.max(np.abs(moved - as_usual)) < 20
+
+
 def test_sizes_do_not_change_with_other_effects() -> None:
     weaker = find('force_constant').apply(nominal(), 'x_rotate', {'ratio': 0.5})
     for effect in library().values():

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
@@ -96,8 +97,35 @@ def apply_all(nominal: Variant, causes: Sequence[Cause]) -> Variant:
     """Return the nominal model with all causes, one after another."""
     variant = nominal
     for cause in causes:
-        variant = cause.effect.apply(variant, cause.axis, cause.values)
+        values = tuple(cause.values.items())
+        variant = _laid_over(_Itself(variant), cause.effect, cause.axis, values)
     return variant
+
+
+class _Itself:
+    """A variant that equals no other one, however alike: a key that costs nothing to compare."""
+
+    def __init__(self, variant: Variant) -> None:
+        self.variant = variant
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and other.variant is self.variant
+
+    def __hash__(self) -> int:
+        return id(self.variant)
+
+
+@functools.lru_cache(maxsize=128)
+def _laid_over(
+    below: _Itself, effect: Effect, axis: str, values: tuple[tuple[str, float], ...]
+) -> Variant:
+    """
+    Return a variant with one effect more.
+
+    A fit of thirty causes changes one of them at a time: those before it are the same as the last time,
+    and to check a description takes as long as to simulate a tenth of a second.
+    """
+    return effect.apply(below.variant, axis, dict(values))
 
 
 class Problem:

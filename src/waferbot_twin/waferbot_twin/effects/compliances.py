@@ -38,6 +38,8 @@ _STIFFNESS_OF = {
 }
 """What the stiffness of a part is in proportion to."""
 
+_DAMPING = ('damping_n_s_m', 'damping_nm_s_rad')
+
 _GUIDE_CHARTS = ('radial', 'reverse', 'transverse')
 
 
@@ -120,7 +122,7 @@ def let_go(variant: Variant, names: tuple[str, ...]) -> dict[str, Any]:
     damped = {}
     for part in parts:
         entry = variant.machine['connections'][part.name]
-        gone = {key: None for key in ('damping_n_s_m', 'damping_nm_s_rad') if key in entry}
+        gone = {key: None for key in _DAMPING if key in entry}
         damped[part.name] = {**gone, 'loss_factor': CARRIER_LOSS}
     machine = with_compliance(variant, parts, 1.0 / STIFFER)
     return _with_more(machine, damped)
@@ -154,7 +156,13 @@ def with_compliance(
     changed: dict[str, Any] = {}
     for name in (part.name for part in parts):
         part, entry = base.description.connections[name], base.machine['connections'][name]
-        connections[name] = {'state': 'flexible'}
+        present = variant.machine['connections'][name]
+        as_before = {
+            key: entry.get(key)
+            for key in ('loss_factor', *_DAMPING)
+            if present.get(key) != entry.get(key)
+        }
+        connections[name] = {'state': 'flexible', **as_before}
         kind = base.machine['parts'][entry['part']]['kind'] if 'part' in entry else ''
         if kind in ('', 'shaft'):
             key = 'stiffness_nm_rad' if part.rotary else 'stiffness_n_m'
@@ -165,7 +173,6 @@ def with_compliance(
                 changed.setdefault(entry['part'], {})[key] = value
         if kind == 'shaft':
             # No metal has a torsion and a bending stiffness that follow each other at will.
-            present = variant.machine['connections'][name]
             gone = {key: None for key in ('part', 'direction') if key in present}
             connections[name] |= {**gone, 'loss_factor': part.loss_factor}
     found: dict[str, Any] = {'connections': connections}

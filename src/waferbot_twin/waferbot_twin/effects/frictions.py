@@ -68,7 +68,7 @@ def _place(variant: Variant, axis: str, effect: str) -> tuple[str, bool]:
         coordinate = places.motor_coordinate(variant, axis)
     else:
         coordinate = places.coordinate(variant, axis)
-    return coordinate, bool(variant.description.revolute[coordinate])
+    return coordinate, bool(variant.base.description.revolute[coordinate])
 
 
 def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str, Any]:

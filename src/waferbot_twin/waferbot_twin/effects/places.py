@@ -2,8 +2,9 @@
 """
 Where things are in a machine: what effects need to know to place and to size themselves.
 
-Sizes (forces, inertias, currents) are those of the model before any effect was laid over it; what
-an effect adds to (a mass, a friction) is as the effects before it have left it.
+Which parts there are and what they are tied to, and sizes (forces, inertias, currents), are those of the
+model before any effect was laid over it; what an effect adds to (a mass, a friction) is as the effects
+before it have left it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ DAC_BITS = 32768.0
 
 def motor_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes that have a motor, in the contract's order."""
-    return tuple(axis for axis in AXES if axis in variant.description.motors)
+    return tuple(axis for axis in AXES if axis in variant.base.description.motors)
 
 
 def controlled_axes(variant: Variant) -> tuple[str, ...]:
@@ -42,23 +43,23 @@ def amplified_axes(variant: Variant) -> tuple[str, ...]:
 
 def rotary(variant: Variant, axis: str) -> bool:
     """Return whether an axis turns."""
-    description = variant.description
+    description = variant.base.description
     return bool(description.revolute[description.axes[axis]])
 
 
 def coordinate(variant: Variant, axis: str) -> str:
     """Return the coordinate that an axis is."""
-    return variant.description.axes[axis]
+    return variant.base.description.axes[axis]
 
 
 def motor_coordinate(variant: Variant, axis: str) -> str:
     """Return the coordinate that an axis' motor drives."""
-    return variant.description.motors[axis].coordinate
+    return variant.base.description.motors[axis].coordinate
 
 
 def motor_rotary(variant: Variant, axis: str) -> bool:
     """Return whether an axis' motor turns."""
-    return bool(variant.description.revolute[motor_coordinate(variant, axis)])
+    return bool(variant.base.description.revolute[motor_coordinate(variant, axis)])
 
 
 def geared_axes(variant: Variant) -> tuple[str, ...]:
@@ -75,7 +76,7 @@ def counterweight_coordinate(variant: Variant, axis: str) -> str:
     own = coordinate(variant, axis)
     driven = (
         transmission.driven
-        for transmission in variant.description.transmissions.values()
+        for transmission in variant.base.description.transmissions.values()
         if transmission.pulls_only and transmission.driving == own
     )
     return next(driven, '')
@@ -98,13 +99,13 @@ def drive_gives(variant: Variant, axis: str) -> bool:
 
 def moves_with(variant: Variant, axis: str, name: str) -> bool:
     """Return whether coordinate `name` is tied to the axis if nothing gives."""
-    placing = variant.rigid.placing
+    placing = variant.base.rigid.placing
     return name in placing and placing[name][0] == placing[coordinate(variant, axis)][0]
 
 
 def motor_ratio(variant: Variant, axis: str) -> float:
     """Return turns (or metres) of the motor per radian (or metre) of the axis; 1 for direct drives."""
-    placing = variant.rigid.placing
+    placing = variant.base.rigid.placing
     driving, driven = motor_coordinate(variant, axis), coordinate(variant, axis)
     if placing[driving][0] != placing[driven][0]:
         return 1.0
@@ -114,7 +115,7 @@ def motor_ratio(variant: Variant, axis: str) -> float:
 def joint_of(variant: Variant, axis: str) -> Joint | None:
     """Return the joint whose freedom the axis is."""
     wanted = coordinate(variant, axis)
-    for joint in variant.description.joints.values():
+    for joint in variant.base.description.joints.values():
         if any(freedom.name == wanted for freedom in joint.freedoms):
             return joint
     return None
@@ -138,13 +139,14 @@ def carried_bodies(variant: Variant, axis: str) -> tuple[str, ...]:
     joint = joint_of(variant, axis)
     assert joint is not None
     found = {joint.child}
-    joints = variant.description.joints.values()
+    description = variant.base.description
+    joints = description.joints.values()
     for _ in joints:
         for other in joints:
             moves = any(not freedom.connections for freedom in other.freedoms)
             if other.parent in found and not moves:
                 found.add(other.child)
-    return tuple(name for name in variant.description.bodies if name in found)
+    return tuple(name for name in description.bodies if name in found)
 
 
 def carried_body(variant: Variant, axis: str) -> Body:
