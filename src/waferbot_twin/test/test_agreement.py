@@ -16,7 +16,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -62,7 +62,7 @@ def log_of(nominal, experiment, seed, *causes):
     variant = apply_all(nominal, causes)
     noisy = with_noise(variant, nominal, 1.0, np.random.default_rng(seed))
     timing = Timing()
-    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment(experiment), twin.servo_parameters, timing.servo_hz
     )

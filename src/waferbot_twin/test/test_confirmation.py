@@ -16,7 +16,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -49,7 +49,7 @@ def test_a_belt_that_never_slips_shows_by_what_it_gives():
     effect = replace(find('belt_slip'), drive_train=False)  # as if the motor had no encoder
     slip = Cause(effect, 'y_rotate', {'force': 9000.0})
     variant = slip.effect.apply(nominal, slip.axis, slip.values)
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('random_y_rotate'), twin.servo_parameters, timing.servo_hz
     )
@@ -67,7 +67,7 @@ def test_what_parts_two_encoders_needs_no_other_proof():
     nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
     play = Cause(find('backlash'), 'y_rotate', {'gap': 1e-3})
     variant = play.effect.apply(nominal, play.axis, play.values)
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )

@@ -17,7 +17,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -34,7 +34,7 @@ def nominal():
 def logged(nominal, variant, random):
     timing = Timing()
     noisy = with_noise(variant, nominal, 1.0, random)
-    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )

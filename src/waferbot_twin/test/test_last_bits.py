@@ -13,7 +13,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -29,7 +29,7 @@ def test_a_filter_that_changes_single_bits_is_found_from_an_estimate_that_is_far
     truth, timing = 4e-4, Timing()
     nominal = host(Variant.of(load_model('rigid')))
     variant = apply_all(nominal, [filtered(truth)])
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('random_y_linear'), twin.servo_parameters, timing.servo_hz
     )
@@ -50,7 +50,7 @@ def test_a_filter_that_changes_single_bits_is_found_from_an_estimate_that_is_far
 @pytest.mark.slow
 def test_what_also_moves_the_plant_is_left_to_the_fit():
     nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
-    twin = Twin(compact(nominal).build(timing), nominal.pmac, nominal.copley, timing, 'rigid')
+    twin = Twin(built(nominal, timing), nominal.pmac, nominal.copley, timing, 'rigid')
     problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
     force = Cause(find('constant_force'), 'y_linear', {'force': 1.0})
     assert not acts_on_bits_alone(problem, force)

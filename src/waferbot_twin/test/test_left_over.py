@@ -13,7 +13,7 @@ from waferbot_twin.diagnosis.left_over import LeftOver, axes_that_differ
 from waferbot_twin.diagnosis.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -35,7 +35,7 @@ def problem():
     nominal = host(Variant.of(load_model('rigid')))
     variant = apply_all(nominal, [DERIVATIVE, DEAD_TIME])
     timing = Timing()
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )

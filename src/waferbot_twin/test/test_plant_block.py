@@ -15,7 +15,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -24,7 +24,7 @@ from waferbot_twin.models import load_model
 def record_of(variant, experiment, duration_s):
     """Return the noise-free log of a model."""
     timing = Timing()
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, variant.name)
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, variant.name)
     twin.commanded = commanded_positions(
         load_experiment(experiment), twin.servo_parameters, timing.servo_hz
     )

@@ -25,7 +25,7 @@ from waferbot_twin.diagnosis.resonances import (
 )
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -88,7 +88,7 @@ def test_a_line_is_looked_for_where_samples_fold_it():
 
 def log_of(variant, duration_s):
     timing = Timing()
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, variant.name)
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, variant.name)
     twin.commanded = commanded_positions(
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )

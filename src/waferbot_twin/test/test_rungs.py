@@ -23,7 +23,7 @@ from waferbot_twin.diagnosis.screening import Screened, candidates
 from waferbot_twin.diagnosis.shortlist import TRIALS, most_promising
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, places
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -36,7 +36,7 @@ def nominal():
 
 def log_of(variant, duration_s, experiment='step'):
     timing = Timing()
-    twin = Twin(compact(variant).build(timing), variant.pmac, variant.copley, timing, variant.name)
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, variant.name)
     if experiment is not None:
         motion = load_experiment(experiment)
         twin.commanded = commanded_positions(motion, twin.servo_parameters, timing.servo_hz)

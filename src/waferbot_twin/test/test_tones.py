@@ -17,7 +17,7 @@ from waferbot_twin.diagnosis.problem import PLANT, Problem
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.diagnosis.tones import CHANCE, at_tones, tones
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
@@ -67,7 +67,7 @@ def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     noisy = with_noise(
         effect.apply(nominal, axis, hidden), nominal, 1.0, np.random.default_rng(seed)
     )
-    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )

@@ -22,7 +22,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_plant.encoders import find_positions
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.record import Record
-from waferbot_twin.effects.host import compact
+from waferbot_twin.effects.host import built
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
 
@@ -48,7 +48,7 @@ def run_commanded(
     It begins at rest where its encoders show the first of them. Raises `UserError` if the loop is
     unstable.
     """
-    machine = compact(variant).build(timing)
+    machine = built(variant, timing)
     twin = Twin(machine, variant.pmac, variant.copley, timing, variant.name)
     begin = commanded[0]
     if np.any(np.abs(begin) > 1.0):

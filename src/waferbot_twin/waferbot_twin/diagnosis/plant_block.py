@@ -58,7 +58,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Noise
-from waferbot_twin.effects.host import compact
+from waferbot_twin.effects.host import built
 from waferbot_twin.effects.variant import Variant
 
 OBSERVER_HZ = 80.0
@@ -172,7 +172,7 @@ class PlantBlock:
         Raises `UserError` if the simulation blows up.
         """
         record = self.record
-        machine = compact(variant).build(record.timing)
+        machine = built(variant, record.timing)
         parameters = machine.parameters()
         state = machine.resting_state(parameters)
         p = parameters[0]

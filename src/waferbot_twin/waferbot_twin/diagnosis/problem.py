@@ -19,7 +19,7 @@ from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, Noise, likelihood
 from waferbot_twin.effects.effect import Effect, Values
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Itself, Variant
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 
 PLANT, CONTROLLER = 'plant', 'controller'
@@ -98,26 +98,13 @@ def apply_all(nominal: Variant, causes: Sequence[Cause]) -> Variant:
     variant = nominal
     for cause in causes:
         values = tuple(cause.values.items())
-        variant = _laid_over(_Itself(variant), cause.effect, cause.axis, values)
+        variant = _laid_over(Itself(variant), cause.effect, cause.axis, values)
     return variant
-
-
-class _Itself:
-    """A variant that equals no other one, however alike: a key that costs nothing to compare."""
-
-    def __init__(self, variant: Variant) -> None:
-        self.variant = variant
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and other.variant is self.variant
-
-    def __hash__(self) -> int:
-        return id(self.variant)
 
 
 @functools.lru_cache(maxsize=128)
 def _laid_over(
-    below: _Itself, effect: Effect, axis: str, values: tuple[tuple[str, float], ...]
+    below: Itself, effect: Effect, axis: str, values: tuple[tuple[str, float], ...]
 ) -> Variant:
     """
     Return a variant with one effect more.

@@ -10,11 +10,14 @@ longer. As long as no effect has let one go, `compact` takes the held connection
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from typing import Any
 
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.plant import Machine
 from waferbot_twin.effects import frictions, places
-from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.effects.variant import Itself, Overlay, Variant
 
 
 def host(variant: Variant) -> Variant:
@@ -56,6 +59,16 @@ def compact(variant: Variant) -> Variant:
     return variant.with_overlay(
         Overlay({'connections': {name: {'state': 'rigid'} for name in held}})
     )
+
+
+def built(variant: Variant, timing: Timing) -> Machine:
+    """Return the machine of a variant, compact; the last few are kept: a variant meets several logs."""
+    return _built(Itself(variant), timing)
+
+
+@functools.lru_cache(maxsize=4)
+def _built(variant: Itself, timing: Timing) -> Machine:
+    return compact(variant.variant).build(timing)
 
 
 def _held(variant: Variant) -> list[str]:

@@ -30,7 +30,7 @@ from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.effects.host import compact
+from waferbot_twin.effects.host import built
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.identification.solving import least_squares
@@ -95,8 +95,8 @@ class Machine:
 
     def twin(self, variant: Variant, experiment: Experiment) -> Twin:
         """Return the closed loop of a variant, ready for an experiment; raises `UserError`."""
-        built = compact(variant).build(self.timing)
-        twin = Twin(built, variant.pmac, variant.copley, self.timing, variant.name)
+        machine = built(variant, self.timing)
+        twin = Twin(machine, variant.pmac, variant.copley, self.timing, variant.name)
         twin.commanded = commanded_positions(
             experiment, twin.servo_parameters, self.timing.servo_hz
         )
