@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Screening where a little of an effect says nothing of more, in logs whose cause is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.closed_loop_record import run_commanded
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_twin.diagnosis.screening import candidates, screen, signatures
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+
+SEED = 20261122
+TIMING = Timing()
+
+pytestmark = pytest.mark.slow
+
+
+def log_of(nominal: Variant, cause: Cause, experiment: str) -> Problem:
+    """Return the problem of a noisy log of half a second of a machine with a cause."""
+    print(f'seed {SEED}')
+    variant = apply_all(nominal, [cause])
+    parameters = servo_parameters(variant.pmac, variant.name)
+    motion = load_experiment(experiment)
+    commanded = commanded_positions(motion, parameters, TIMING.servo_hz)
+    signals = run_commanded(variant, TIMING, commanded, TIMING.ticks(0.5))
+    record = record_of_signals('log', signals)
+    noise = np.random.default_rng(SEED).normal(0.0, 0.5, record.reading.shape)
+    return Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
+
+
+def best_screened(problem: Problem, *names: str):
+    """Return what screening promises most of some effects on Y-Rotate."""
+    base = evaluate(problem)
+    effects = [find(name) for name in names]
+    every = [item for item in candidates(problem, effects) if item.axis == 'y_rotate']
+    found = signatures(problem, base, every, 1, lambda *_: None)
+    first, *_ = screen(problem, base, every, found, [])
+    return first
+
+
+def test_an_error_of_teeth_is_found_from_where_the_drive_has_let_go():
+    nominal = host(Variant.of(load_model('rigid')))
+    effect = find('transmission_error')
+    true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    problem = log_of(nominal, true, 'full_stroke_y_rotate')
+    first = best_screened(problem, 'transmission_error', 'encoder_eccentricity', 'backlash')
+    assert (first.cause.name, first.cause.values['order']) == (true.name, true.values['order'])
+    # It is in proportion once there is a little, so that a fit gets from there to the truth.
+    names = ('cosine', 'sine')
+    little = np.array([first.cause.values[name] for name in names])
+    asked = dict(zip(names, little + first.value[:2], strict=True))
+    (found,) = fit_causes(problem, (first.cause.with_values(asked),)).causes
+    for name in names:
+        assert found.values[name] == pytest.approx(true.values[name], rel=0.02)
+
+
+def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
+    nominal = host(Variant.of(load_model('rigid')))
+    effect = find('belt_compliance')
+    true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    problem = log_of(nominal, true, 'random_y_rotate')
+    first = best_screened(problem, 'belt_compliance', 'coulomb_friction', 'encoder_scale')
+    assert first.cause.name == true.name
+    gain = evaluate(problem, (first.cause,)).log_likelihood - evaluate(problem).log_likelihood
+    assert first.score <= 2.0 * gain
+    assert first.score > 100.0
