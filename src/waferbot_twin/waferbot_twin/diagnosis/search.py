@@ -59,10 +59,10 @@ from waferbot_twin.diagnosis.together import (
     gain_from_afar,
     price_of,
     take_out,
+    unpredictable_parts,
     usual_causes,
 )
 from waferbot_twin.diagnosis.tones import at_tones
-from waferbot_twin.diagnosis.whitening import unpredictable
 from waferbot_twin.effects.effect import Effect
 
 ANEW = 30
@@ -135,14 +135,7 @@ def _leaves_far(before: Hypothesis, found: Hypothesis) -> bool:
     """
     if PLANT not in found.fits:
         return False
-    one, other = (
-        [
-            unpredictable(residual, noise)
-            for residual, noise in zip(item.residuals[PLANT], item.fits[PLANT].noises, strict=True)
-        ]
-        for item in (before, found)
-    )
-    changes = np.log(np.divide(one, other))
+    changes = np.log(np.divide(unpredictable_parts(before), unpredictable_parts(found)))
     most = int(np.argmax(changes))
     return changes[most] > 0.0 and far_channels(before)[most] and far_channels(found)[most]
 

@@ -66,7 +66,17 @@ def far_channels(hypothesis: Hypothesis) -> list[bool]:
     if PLANT not in hypothesis.fits:
         return []
     return [
-        float(np.sqrt(np.mean(residual**2))) > FAR * unpredictable(residual, noise)
+        float(np.sqrt(np.mean(residual**2))) > FAR * rough
+        for residual, rough in zip(
+            hypothesis.residuals[PLANT], unpredictable_parts(hypothesis), strict=True
+        )
+    ]
+
+
+def unpredictable_parts(hypothesis: Hypothesis) -> list[float]:
+    """Return for each channel of the plant what its own past does not tell: how rough it is, counts."""
+    return [
+        unpredictable(residual, noise)
         for residual, noise in zip(
             hypothesis.residuals[PLANT], hypothesis.fits[PLANT].noises, strict=True
         )
