@@ -30,7 +30,7 @@ load alone, a motor in the gap of its gears bounces for ever, as each correction
 an impact took. With k the slope of the spring's force now, zero in the gap, and J what it carries,
 that correction is
 
-    1 / (1 + (k / (J (10 w)^2))^2)
+    1 / (1 + (k / (J (5 w)^2))^2)
 
 of the full one, so that a spring without any compliance is what is held rigid. Such a model follows
 two encoders where a rigid one follows one; so their innovations are whitened as a pair (`whitening`),
@@ -64,7 +64,7 @@ from waferbot_twin.effects.variant import Variant
 OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
 
-STIFF = 10.0
+STIFF = 5.0
 """
 A spring on which its end swings so many times as fast as the observer is stiff: the encoder at that end
 corrects half as much, and less and less on stiffer ones, which noise of readings would only set ringing.
