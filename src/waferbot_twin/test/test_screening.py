@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from waferbot_twin.diagnosis.closed_loop_record import run_commanded
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.offered import coarse_readings
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.effects import find
@@ -38,7 +40,13 @@ def log_of(nominal: Variant, cause: Cause, experiment: str) -> Problem:
     signals = run_commanded(variant, TIMING, commanded, TIMING.ticks(0.5))
     record = record_of_signals('log', signals)
     noise = np.random.default_rng(SEED).normal(0.0, 0.5, record.reading.shape)
-    return Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
+    steps = np.array([cause.values.get('step', 1.0), 1.0, 1.0, 1.0])  # of Y-Linear's encoder
+    reading = steps * np.round((record.reading + noise) / steps)
+    return Problem(nominal, [replace(record, reading=reading)])
+
+
+def quiet(what: str, done: int, total: int) -> None:
+    """Show no progress."""
 
 
 def best_screened(problem: Problem, *names: str):
@@ -46,7 +54,7 @@ def best_screened(problem: Problem, *names: str):
     base = evaluate(problem)
     effects = [find(name) for name in names]
     every = [item for item in candidates(problem, effects) if item.axis == 'y_rotate']
-    found = signatures(problem, base, every, 1, lambda *_: None)
+    found = signatures(problem, base, every, 1, quiet)
     first, *_ = screen(problem, base, every, found, [])
     return first
 
@@ -77,3 +85,35 @@ def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
     gain = evaluate(problem, (first.cause,)).log_likelihood - evaluate(problem).log_likelihood
     assert first.score <= 2.0 * gain
     assert first.score > 100.0
+
+
+def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
+    nominal = host(Variant.of(load_model('rigid')))
+    true = Cause(find('coarse_quantisation'), 'y_linear', {'step': 16.0})
+    problem = log_of(nominal, true, 'step')
+    (effect,) = coarse_readings(problem)
+    (cause,) = candidates(problem, [effect])
+    assert (cause.name, cause.values, cause.free) == (true.name, true.values, 0)
+    base = evaluate(problem)
+    (first,) = screen(problem, base, [cause], signatures(problem, base, [cause], 1, quiet), [])
+    found = fit_causes(problem, (first.cause,))
+    gained = 2.0 * (found.log_likelihood - base.log_likelihood)
+    assert first.score == pytest.approx(gained)
+    assert gained > 1000.0
+
+
+def test_whole_steps_are_likelier_of_an_encoder_that_has_nothing_between():
+    nominal = host(Variant.of(load_model('rigid')))
+    effect = find('coarse_quantisation')
+    problem = log_of(nominal, Cause(effect, 'y_linear', {'step': 16.0}), 'step')
+
+    def gained(step: float) -> float:
+        with_steps = evaluate(problem, (Cause(effect, 'y_linear', {'step': step}),))
+        return with_steps.log_likelihood - evaluate(problem).log_likelihood
+
+    samples = len(evaluate(problem).residuals['plant'][0]) - problem.noises('plant')[0].order
+    # what is predicted, the middle of a step, moves with the step, and no observer minds
+    for step in (2.0, 4.0, 8.0, 16.0):
+        assert gained(step) == pytest.approx(samples * math.log(step), rel=0.01)
+    for step in (3.0, 12.0, 17.0, 32.0):  # readings are no multiples of these
+        assert gained(step) == pytest.approx(0.0, abs=0.01 * samples)

@@ -207,11 +207,19 @@ def _sized(case: Case, drawn: Drawn, model: str) -> tuple[list[Cause], list[floa
 
 
 def _possible(name: str, size_at: Callable[[float], float], scale: float) -> float:
-    """Return the size of an effect at a scale; raises `OutOfReach` where the machine does not run."""
+    """
+    Return the size of an effect at a scale.
+
+    Raises `OutOfReach` where the machine does not run, or where the motion does not show it: below a
+    size of one no test could.
+    """
     try:
-        return size_at(scale)
+        found = size_at(scale)
     except UserError as error:
         raise OutOfReach(f'{name}: {error}') from error
+    if found < 1.0:
+        raise OutOfReach(f'{name}: this motion does not show it (size {found:.2g})')
+    return found
 
 
 def _through_files(

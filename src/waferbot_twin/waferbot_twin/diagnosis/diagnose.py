@@ -193,6 +193,7 @@ def diagnose(
     axis_gains = gains(roomy, apply_all(roomy, causes), judging)
     notes += rest.notes
     notes += _stands_for(extended, found.found.causes)
+    notes += _out_of_step(found.found.causes, axis_gains)
     where = _where(problem, found)
     found_causes = _found_causes(problem, found, rest)
     return Diagnosis(
@@ -243,6 +244,17 @@ def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
         for effect in library().values()
         if effect.same_as == cause.effect.name
         and cause.axis in set(effect.axes(variant)) - set(effect.distinct_axes(variant))
+    ]
+
+
+def _out_of_step(causes: Sequence[Cause], axis_gains: Sequence[AxisGain]) -> list[str]:
+    """Say of each cause that is evident from the readings if the positions do not show its gain."""
+    lost = {item.axis for item in axis_gains if item.improvement_percent < 0.0}
+    return [
+        f'{cause.name} stands in the readings themselves; the RMS error does not show it, where machine '
+        'and model hunt on the steps of the encoder, but not in step with one another'
+        for cause in causes
+        if cause.effect.evident and cause.axis in lost
     ]
 
 

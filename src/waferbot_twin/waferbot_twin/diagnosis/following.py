@@ -7,11 +7,13 @@ found (`closed_loop_record`). So what an axis leaves over is regressed on what t
 axis do there: position, speed, acceleration, currents, some of their products, and the change of each,
 with the noise coloured as it is. Of noise alone, twice the gain in ln L has a chi-squared distribution
 with as many degrees of freedom as there are regressors.
+
+Limit: what a coarse encoder rounds off goes with its position, and is no noise; it is not asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import chi2
@@ -19,7 +21,8 @@ from scipy.stats import chi2
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Problem
+from waferbot_twin.diagnosis.plant_block import PlantBlock
+from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit
@@ -61,16 +64,29 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
             return []
         pairs = zip(logs.records, ideal.records, strict=True)
         both.append((logs, hypothesis, {id(one): other for one, other in pairs}))
+    coarse = _coarse_encoders(problem, found.found.causes)
     axes: list[str] = []
     for block in BLOCKS:
         for name, axis in {item.name: item.axis for item in problem.channels(block)}.items():
-            if axis in axes:
+            if axis in axes or (block == PLANT and name in coarse):
                 continue
             each = [_gained(*one, block, name) for one in both]
             regressors = sum(count for _, count in each)
             if regressors and sum(gain for gain, _ in each) > chi2.isf(CHANCE, regressors):
                 axes.append(axis)
     return axes
+
+
+def _coarse_encoders(problem: Problem, causes: Sequence[Cause]) -> set[str]:
+    """Return the encoders that show only multiples of some counts, in the logs and in the model."""
+    variant = apply_all(problem.nominal, causes)
+    return {
+        name
+        for block in problem.blocks[PLANT]
+        if isinstance(block, PlantBlock)
+        for name, step in zip(block.channels, block.steps(variant), strict=True)
+        if step > 1.0
+    }
 
 
 def _gained(

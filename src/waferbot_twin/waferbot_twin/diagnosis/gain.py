@@ -113,7 +113,7 @@ def _plant_errors(nominal: Variant, extended: Variant, record: Record) -> Errors
     judged_s = record.duration_s - record.judged_from_s
     observer_hz = min(max(1.0 / (2.0 * math.pi * FREE_S), CYCLES / judged_s), OBSERVER_HZ)
     block = PlantBlock(record, nominal, observer_hz)
-    before, after = (block.residuals(variant) for variant in (nominal, extended))
+    before, after = (block.innovations(variant) for variant in (nominal, extended))
     return {
         ENCODERS.index(channel): (
             block.times_s(channel), block.measured(channel), -before[row], -after[row]

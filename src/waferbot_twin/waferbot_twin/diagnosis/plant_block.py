@@ -11,13 +11,14 @@ Luenberger observer does,
 
 with c counts per unit, h the time since the correction before, w and z the observer's frequency and
 damping: the error of a double integrator then dies out as exp(-z w t) at whatever times readings come
-(for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in counts, is the block's residual. A
-force F that the model lacks appears in it as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of
-the force itself, so w is chosen above what moves the machine, 80 Hz, but no more than a sixth of the
-rate at which readings come: what a slow log cannot show is not looked for in it. Whitening takes out
-what w and z were; all models that are compared have the same. Where several readings make a sample
-of the residual, their mean corrects the plant when the sample ends: a sample is what was predicted from
-those before it, whatever an observer follows.
+(for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in steps of the model's encoder, which
+are counts if it is not coarse, is the block's residual. A force F that the model lacks appears in it
+as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above
+what moves the machine, 80 Hz, but no more than a sixth of the rate at which readings come: what a slow
+log cannot show is not looked for in it. Whitening takes out what w and z were; all models that are
+compared have the same. Where several readings make a sample of the residual, their mean corrects the
+plant when the sample ends: a sample is what was predicted from those before it, whatever an observer
+follows.
 
 A reading that is late is compared with where the plant was by then, as corrected since: without the
 latter the observer, and with it the spread of e, would depend on the delay.
@@ -56,7 +57,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array, Record, common_step
 from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.host import built
 from waferbot_twin.effects.variant import Variant
@@ -116,6 +117,7 @@ class PlantBlock:
         self.channels = [ENCODERS[place] for place in self._places]
         self._samples: list[NDArray[np.intp]] = []
         self.rates_hz: list[float] = []
+        self._common_steps: list[int] = []
         self._observer_hz = np.zeros(len(ENCODERS))
         self._ends = np.zeros(record.reading.shape, np.bool_)
         floors = []
@@ -131,6 +133,7 @@ class PlantBlock:
             judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
             self._samples.append(samples[judged])
             self.rates_hz.append(rate_hz / group)
+            self._common_steps.append(common_step(record.reading[:, place]))
             floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
         shortest = min((len(samples) for samples in self._samples), default=0)
         self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
@@ -166,6 +169,28 @@ class PlantBlock:
         return np.asarray(self.record.reading[rows, ENCODERS.index(channel)].mean(axis=1))
 
     def residuals(self, variant: Variant) -> list[Array]:
+        """
+        Return the innovation of every encoder of the log, in the steps of the model's encoder.
+
+        So a model says how likely each of the readings is that its encoder can show: one with steps of
+        C counts has only every C-th, and is that much likelier to be right for each of n samples if all
+        changes of the readings are multiples of C: ln L is n ln C more. If they are not, it has no
+        such encoder, and nothing is gained by saying so: then steps are counts.
+        """
+        scales = self.steps(variant)
+        return [
+            channel / step for channel, step in zip(self.innovations(variant), scales, strict=True)
+        ]
+
+    def steps(self, variant: Variant) -> list[float]:
+        """Return the step of every encoder of a model, counts; 1 where readings are no multiples."""
+        found = []
+        for channel, common in zip(self.channels, self._common_steps, strict=True):
+            step = variant.description.encoders[channel].errors.coarseness
+            found.append(step if common and common % step == 0.0 else 1.0)
+        return found
+
+    def innovations(self, variant: Variant) -> list[Array]:
         """
         Return the innovation of every encoder of the log, counts.
 
@@ -332,11 +357,12 @@ def _drive(
 
     `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
     currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
-    missing; `half_count` is added to them, because counts are rounded down; `late_s` says how much after
-    its tick each was taken (0, 4 if never); `ends` (n / divider, 4) where a sample ends. `observer` (4,)
-    rad/s; `together` (encoders, z) says how far it moves each coordinate; `behind` (encoders, 2) the
-    spring that it is behind and the encoder at the other end. Coordinates of `standing` (z,) do not
-    move. Returns the coordinate for which the simulation blew up, or -1.
+    missing; `half_count` is added to them, because counts are rounded down (of a coarse encoder half of
+    its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends`
+    (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `together` (encoders, z) says how far
+    it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
+    the other end. Coordinates of `standing` (z,) do not move. Returns the coordinate for which the
+    simulation blew up, or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -374,14 +400,12 @@ def _drive(
                 if per_unit == 0.0:
                     continue
                 coordinate = p['encoder_coordinate'][encoder]
-                coarseness = p['coarseness'][encoder]
                 now = encoders.seen_counts(s, p, encoder)
-                if coarseness > 1.0:
-                    now = coarseness * np.floor(now / coarseness) + half_count
                 seen[row % LONGEST_DELAY, encoder] = now - corrected[encoder]
                 late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
                 predicted = seen[late, encoder] + corrected[encoder]
-                error = reading[row, encoder] + half_count - predicted
+                half_step = half_count * max(p['coarseness'][encoder], 1.0)
+                error = reading[row, encoder] + half_step - predicted
                 if error != error:
                     continue
                 if late_s.shape[0]:

@@ -101,6 +101,18 @@ class Record:
         )
 
 
+def common_step(readings: Array) -> int:
+    """
+    Return the step of which all changes of an encoder's readings (n,) are multiples, counts.
+
+    0 where readings are no whole counts, or never change.
+    """
+    changes = np.diff(readings[np.isfinite(readings)])
+    if np.any(changes % 1.0 != 0.0):
+        return 0
+    return int(np.gcd.reduce(changes.astype(np.int64)))
+
+
 def mean_over_ticks(current: Array) -> Array:
     """Return the mean of each tick's current, from the values at its beginning and end."""
     return 0.5 * (current + np.vstack([current[1:], current[-1:]]))

@@ -87,9 +87,12 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
             held = tuple(item.name for item in parameters if item.fixed)
             for trial in effect.trials(problem.nominal, axis):
                 values = {
-                    item.name: trial.get(item.name, item.typical)
-                    if item.shape
-                    else item.neutral + effect.begins_at * (item.typical - item.neutral)
+                    item.name: trial.get(
+                        item.name,
+                        item.typical
+                        if item.shape
+                        else item.neutral + effect.begins_at * (item.typical - item.neutral),
+                    )
                     for item in parameters
                 }
                 cause = Cause(effect, axis, values, held)
@@ -175,7 +178,7 @@ def screen(
         shown = {block: matrix for block, matrix in own.items() if matrix.any()}
         if not change or not shown:
             continue
-        parameters = len(parameters_of(problem, rival))
+        parameters = rival.free
         whole = _tried_as_a_whole(problem, rival)
         count = 1 if whole else parameters
         beside = [item for item in of_base if shown.keys() & item.keys()]
@@ -194,7 +197,8 @@ def screen(
         if whole:
             as_tried = _gain_as_tried(problem, base, shown)
             possible = value[0] > 0.0 or as_tried > gain
-            gain = max(gain, as_tried)
+            # Half of the steps that readings show themselves is not to be had.
+            gain = as_tried if rival.effect.evident else max(gain, as_tried)
             value = np.zeros(parameters)
         else:
             possible = _possible(problem, rival, value)
@@ -235,7 +239,7 @@ def _tried_as_a_whole(problem: Problem, rival: Cause) -> bool:
     """Return whether there is something of a candidate already, as a trial or on a rung."""
     return rival.effect.begins_at == 0.0 and any(
         not item.shape and rival.values[item.name] != item.neutral
-        for item in parameters_of(problem, rival)
+        for item in rival.effect.parameters(problem.nominal, rival.axis)
     )
 
 

@@ -65,8 +65,16 @@ def that_wins(problem: Problem, judge: Problem, found: Search, notes: list[str])
 
 
 def _gains(judge: Problem, causes: Sequence[Cause]) -> list[AxisGain]:
-    """Return what causes gain in the logs for judging; raises `UserError` if the machine is unstable."""
-    return gains(judge.nominal, apply_all(judge.nominal, causes), judge.records)
+    """
+    Return what causes gain in the logs for judging, beside what is evident from the readings.
+
+    That is not in question: on the steps of a coarse encoder the machine hunts and the true model does,
+    but not in step, and an RMS error does not show it. Raises `UserError` if the machine is unstable.
+    """
+    evident = [cause for cause in causes if cause.effect.evident]
+    return gains(
+        apply_all(judge.nominal, evident), apply_all(judge.nominal, causes), judge.records
+    )
 
 
 def _with_rivals(problem: Problem, judge: Problem, found: Search) -> Iterator[Search]:

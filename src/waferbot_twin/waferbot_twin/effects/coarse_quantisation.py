@@ -5,8 +5,8 @@ The encoder shows only multiples of some counts: a lower resolution than the mod
     n_shown = step floor(n / step)
 
 How large the step is, readings say themselves: `with_steps` gives the effect on the axes whose readings
-are all multiples of more than the model's, tried with that step alone. A fit could not find it: a step
-that is a little wrong explains nothing.
+are all multiples of more than the model's, with that step, which is held. A fit could not find it: a
+step that is a little wrong explains nothing.
 """
 
 from __future__ import annotations
@@ -22,12 +22,21 @@ NAME = 'coarse_quantisation'
 
 
 def with_steps(steps: Mapping[str, float]) -> Effect:
-    """Return the effect on the axes of `steps` alone, each tried with its step, counts."""
+    """Return the effect on the axes of `steps` alone, each with its step, counts."""
 
     def trials(variant: Variant, axis: str) -> tuple[Values, ...]:
         return ({'step': steps[axis]},)
 
-    return replace(EFFECT, axes=lambda variant: tuple(steps), trials=trials, evident=True)
+    def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+        return tuple(replace(item, fixed=True) for item in _parameters(variant, axis))
+
+    return replace(
+        EFFECT,
+        axes=lambda variant: tuple(steps),
+        parameters=parameters,
+        trials=trials,
+        evident=True,
+    )
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
