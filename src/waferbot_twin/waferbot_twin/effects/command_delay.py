@@ -39,4 +39,7 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='I(t) = command(t - delay)',
+    # An interrupt turns what swings at a quarter of their rate by 90 degrees, two by 180: of a loop that
+    # a delay sets swinging, one says nothing of two.
+    tried_at=(0.5, 1.0, 1.5, 2.0),
 )
