@@ -23,7 +23,8 @@ from waferbot_twin.diagnosis.hypothesis import (
     whole_change,
 )
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import CURRENT_LOOP, WINDINGS, Problem
+from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Problem
+from waferbot_twin.diagnosis.together import far_channels
 
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
@@ -44,6 +45,9 @@ A cause gains too little by what the command makes it do if it gains less than t
 should, and that by more than so many standard deviations.
 """
 
+
+LITTLE = 0.4
+"""Share of a motion, in RMS, that a cause leaves if it explains most of it: a sixth of its power."""
 
 CURRENTS = (WINDINGS, CURRENT_LOOP)
 """The blocks whose output is measured currents, with the noise of sensors that a loop follows."""
@@ -130,6 +134,20 @@ def _least(expected: float) -> float:
     return max(-TELLS, expected - STANDARD_DEVIATIONS * spread)
 
 
+def _beyond_noise(base: Hypothesis, more: Hypothesis) -> bool:
+    """Return whether `more` leaves but a little of a motion that is too large for noise in `base`."""
+    channels = zip(
+        far_channels(base),
+        base.residuals.get(PLANT, []),
+        more.residuals.get(PLANT, []),
+        strict=True,
+    )
+    return any(
+        is_far and float(np.mean(after**2)) < LITTLE**2 * float(np.mean(before**2))
+        for is_far, before, after in channels
+    )
+
+
 @dataclass(frozen=True)
 class ByCommand:
     """
@@ -157,7 +175,9 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     moved them: what they gain counts as it is. So does what makes the machine ring: it is the noise in
     the currents that shakes it, too, and what a loop makes of noise has no line. So does what readings
     say themselves: the steps of a coarse encoder fall elsewhere in a log without noise, and a motor on
-    the other flank of its gear's play, but no noise parts the encoders of motor and load.
+    the other flank of its gear's play, but no noise parts the encoders of motor and load. And so does
+    what takes away most of what is too large for noise: where a machine swings, its model does, too,
+    but not in step.
 
     Both hypotheses are those of the logs of `problem`. Logs that do not say what was commanded stand for
     it themselves, with their noise: then this asks no more than whether the cause shows.
@@ -166,7 +186,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     parameters = parameters_of(problem, cause)
     rings = any(item.name in cause.narrow and not item.shape for item in parameters)
     between = cause.effect.drive_train and problem.sees_both_ends(cause.axis)
-    if rings or cause.effect.evident or between:
+    if rings or cause.effect.evident or between or _beyond_noise(base, more):
         gained = 2.0 * (more.log_likelihood - base.log_likelihood)
         return ByCommand(gained, gained)
     ideal = problem.ideal(more.causes) or problem

@@ -46,4 +46,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='mass in the middle of two springs of 2 k',
+    tried_at=(0.25, 0.5, 1.0, 2.0),
 )

@@ -30,5 +30,6 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = friction sign(v)',
+    tried_at=frictions.STICKS,
     usual=True,
 )

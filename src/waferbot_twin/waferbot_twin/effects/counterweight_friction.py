@@ -37,6 +37,7 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = friction sign(v_counterweight)',
+    tried_at=frictions.STICKS,
     usual=True,
     same_as='coulomb_friction',
     distinct=places.drive_gives,

@@ -45,4 +45,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = forward (v > 0), -backward (v < 0)',
+    tried_at=frictions.STICKS,
 )

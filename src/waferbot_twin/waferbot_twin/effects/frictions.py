@@ -37,6 +37,14 @@ OF_GEARBOX = ('gearbox_damping', 'gearbox_friction')
 """Effects with a slot only where a transmission is between motor and axis."""
 
 
+STICKS = (0.3, 1.0)
+"""
+Sizes at which dry friction is tried, in its typical one.
+
+A little of it slides wherever the axis moves; more of it sticks, and its force is whatever holds.
+"""
+
+
 def slot(
     variant: Variant,
     axis: str,

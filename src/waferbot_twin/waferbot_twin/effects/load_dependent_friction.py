@@ -32,4 +32,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = share |F_motor| sign(v)',
+    tried_at=frictions.STICKS,
 )

@@ -77,4 +77,5 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='F = mean (1 + cosine cos kx + sine sin kx) sign(v), k = 2 pi / period',
+    tried_at=frictions.STICKS,
 )

@@ -55,4 +55,5 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation="LuGre: z' = v - |v| z / distance, F = friction z / distance",
+    tried_at=frictions.STICKS,
 )

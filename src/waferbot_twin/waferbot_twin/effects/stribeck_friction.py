@@ -62,4 +62,5 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='F = breakaway exp(-(v / speed)^2) sign(v)',
+    tried_at=frictions.STICKS,
 )
