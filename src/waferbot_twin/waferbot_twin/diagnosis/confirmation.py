@@ -135,7 +135,13 @@ def _least(expected: float) -> float:
 
 
 def _beyond_noise(base: Hypothesis, more: Hypothesis) -> bool:
-    """Return whether `more` leaves but a little of a motion that is too large for noise in `base`."""
+    """
+    Return whether one cause alone leaves but a little of a motion that is too large for noise.
+
+    Beside others it may stand in for what else lacks.
+    """
+    if base.causes:
+        return False
     channels = zip(
         far_channels(base),
         base.residuals.get(PLANT, []),

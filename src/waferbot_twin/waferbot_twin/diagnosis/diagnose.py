@@ -32,7 +32,6 @@ from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
-from waferbot_twin.diagnosis.together import far
 from waferbot_twin.diagnosis.withdrawal import that_wins
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Effect, Parameter
@@ -163,12 +162,12 @@ def diagnose(
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = offered_effects(problem, without)
     found = search(problem, judge, effects, progress, workers)
-    if not far(found.found):
+    if not found.far_off:
         other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
         if len(other.found.causes) > len(found.found.causes):
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
-    if not far(found.found):
+    if not found.far_off:
         found = weighed_in_all_logs(problem, judge, found, progress)
     withdrawn: list[Cause] = []
     said: list[str] = []

@@ -116,7 +116,9 @@ def search(
         if fresh:
             together = True
             _take_together(finding, judging, state, effects, progress, workers)
-            if far(state.found):  # what is left is no noise: nothing more can be told from it
+            # Fitted to these logs the model may seem near, and be as far off as before in others.
+            state.far_off = far(state.found) or far(state.judged)
+            if state.far_off:
                 return state
         if not (taken or fresh):
             break
@@ -124,6 +126,7 @@ def search(
         return state
     _confirm(finding, judging, state, progress, workers)
     _revise(finding, judging, state, every, known, workers, progress)
+    state.far_off = far(state.found)
     return state
 
 
@@ -188,7 +191,10 @@ def _confirm(
     """Take out causes that the others can do without."""
     if len(state.found.causes) < 2:
         return
-    _take(state, take_out(finding, judging, state.found, state.tried, progress, workers))
+    _take(
+        state,
+        take_out(finding, judging, state.found, far(state.found), state.tried, progress, workers),
+    )
 
 
 def _revise(

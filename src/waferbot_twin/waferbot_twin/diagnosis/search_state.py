@@ -74,7 +74,8 @@ class Search:
 
     `found` and `judged` are the causes in the logs for finding and for judging; `nothing` and
     `judged_nothing` the nominal model there; `gains` what each cause gained in Schwarz' criterion,
-    `rivals` what was fitted in its place; `feigned` names what noise made: it is not fitted again.
+    `rivals` what was fitted in its place; `feigned` names what noise made: it is not fitted again;
+    `far_off` tells whether what is left is too large for noise: nothing more can be told from it.
     """
 
     found: Hypothesis
@@ -84,4 +85,5 @@ class Search:
     gains: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
     feigned: set[str] = field(default_factory=set)
+    far_off: bool = False
     tried: int = 0

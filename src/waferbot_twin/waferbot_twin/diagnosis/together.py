@@ -146,15 +146,17 @@ def fit_together(
     rough = fit_causes(finding.coarse(), causes, COARSE_ROUNDS, workers, ROUGHLY, SMOOTH)
     progress('fitting together', 1, 2)
     found = evaluate(finding, rough.causes)
-    if not far(found):
+    still_far = far(found) or far(evaluate(judging, rough.causes))
+    if not still_far:
         found = fit_causes(finding, found.causes, FINE_ROUNDS, workers)
-    return take_out(finding, judging, found, tried, progress, workers)
+    return take_out(finding, judging, found, still_far, tried, progress, workers)
 
 
 def take_out(
     finding: Problem,
     judging: Problem,
     found: Hypothesis,
+    rough: bool,
     tried: int,
     progress: Progress,
     workers: int = 1,
@@ -162,9 +164,8 @@ def take_out(
     """
     Take out causes that the others can do without, the least needed first.
 
-    As long as what is left is far too large for noise, residuals are compared as they are.
+    As long as what is left is far too large for noise (`rough`), residuals are compared as they are.
     """
-    rough = far(found)
     smooth = SMOOTH if rough else 1.0
     usual = SMOOTH if rough else 0.0
     problem, judge = (finding.coarse(), judging.coarse()) if rough else (finding, judging)
