@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
@@ -16,6 +17,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Problem
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.diagnosis.tones import CHANCE, at_tones, tones
+from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
@@ -31,7 +33,15 @@ def white(logs):
     problem = SimpleNamespace(
         channel_names=lambda block: ['x_rotate'] * len(logs), plant_rates_hz=[RATE_HZ] * len(logs)
     )
-    return problem, SimpleNamespace(fits={PLANT: SimpleNamespace(whitened=tuple(logs))})
+    fits = {PLANT: SimpleNamespace(whitened=tuple(logs))}
+    return problem, SimpleNamespace(fits=fits, residuals={PLANT: list(logs)})
+
+
+def coloured(logs, order):
+    """Return the same of coloured noise, whitened by itself."""
+    problem, base = white(logs)
+    fit = likelihood(logs, [Noise(0.0, order)] * len(logs))
+    return problem, SimpleNamespace(fits={PLANT: fit}, residuals=base.residuals)
 
 
 def test_a_tone_is_found_within_a_tenth_of_what_the_log_resolves():
@@ -46,6 +56,17 @@ def test_a_tone_is_found_within_a_tenth_of_what_the_log_resolves():
     ]
     (found,) = tones(*white(logs))
     assert found == pytest.approx(14.6, abs=0.3 * RATE_HZ / max(lengths))
+
+
+def test_a_tone_is_found_whether_weak_or_so_strong_that_it_colours_the_noise():
+    seed = 20261128
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    noise = lfilter([1.0], [1.0, -1.6, 0.8], random.normal(0.0, 1.0, 2000))
+    tone = np.sin(2.0 * np.pi * 28.7 * np.arange(2000) / RATE_HZ + 1.0)
+    for amplitude in (2.0, 5.0, 20.0, 80.0):
+        first, *_ = tones(*coloured([noise + amplitude * tone], 24))
+        assert first == pytest.approx(28.7, abs=0.3 * RATE_HZ / 2000)
 
 
 def test_noise_has_a_tone_as_rarely_as_promised():

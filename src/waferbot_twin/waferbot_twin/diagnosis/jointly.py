@@ -43,15 +43,24 @@ def by_channel(matrix: Array, channels: Sequence[Array]) -> list[Array]:
 
 
 def fit_jointly(
-    problem: Problem, residuals: Residuals, signature: Signature, rounds: int = 4
+    problem: Problem,
+    residuals: Residuals,
+    signature: Signature,
+    rounds: int = 4,
+    from_white: bool = False,
 ) -> Fit:
-    """Fit a signature to the residuals of its blocks; channels follow one another block by block."""
+    """
+    Fit a signature to the residuals of its blocks; channels follow one another block by block.
+
+    `from_white` as in `whitening.fit`.
+    """
     blocks = list(signature)
     return fit(
         [channel for block in blocks for channel in residuals[block]],
         [part for block in blocks for part in by_channel(signature[block], residuals[block])],
         [noise for block in blocks for noise in problem.noises(block)],
         rounds,
+        from_white,
     )
 
 

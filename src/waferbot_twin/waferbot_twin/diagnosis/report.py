@@ -19,7 +19,7 @@ from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.diagnosis.diagnose import Alike, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import UNITS
+from waferbot_twin.diagnosis.problem import PLANT, UNITS
 from waferbot_twin.html_page import html_page, picture, save_picture
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
@@ -203,7 +203,8 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
     )
     for panel, (block, place, name) in zip(panels.T.flat, shown, strict=False):
         _draw_residual(panel, before, after, block, place)
-        panel.set_title(f'{block}: {name}', fontsize=9, loc='left')
+        title = f'{block}: {name}{_coarser(diagnosis, block, name)}'
+        panel.set_title(title, fontsize=9, loc='left')
     for panel in panels.T.flat[len(shown) :]:
         panel.set_axis_off()
     for panel in panels[-1]:
@@ -211,6 +212,17 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
     if shown:
         panels[0][0].legend(fontsize=8, loc='upper right')
     return figure
+
+
+def _coarser(diagnosis: Diagnosis, block: str, name: str) -> str:
+    """Return in which steps the residual of an encoder is that was found to be coarse."""
+    if block != PLANT:
+        return ''
+    before, after = (
+        model.description.encoders[name].errors.coarseness
+        for model in (diagnosis.nominal, diagnosis.extended)
+    )
+    return f' (extended: in steps of {after:g} counts)' if after != before else ''
 
 
 def _draw_residual(

@@ -191,6 +191,9 @@ def screen(
         )
         residuals = _with_change(base.residuals, change.there)
         estimate = fit_jointly(problem, residuals, everything, rounds=2)
+        if rival.effect.tone in rival.narrow:  # a strong tone may pass for the colour of the noise
+            other = fit_jointly(problem, residuals, everything, rounds=2, from_white=True)
+            estimate = max(estimate, other, key=lambda item: item.log_likelihood)
         before = sum(base.fits[block].log_likelihood for block in shown)
         gain = 2.0 * (estimate.log_likelihood - before)
         value = estimate.value[:count]

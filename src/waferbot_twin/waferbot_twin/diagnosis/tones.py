@@ -10,24 +10,37 @@ there from another one. But once what the plant leaves over is white, its period
 says for every frequency what a force there promises: 2 P in 2 ln L, and for noise alone P has an
 exponential distribution with mean 1. So an effect with a frequency is tried at those that stand out, all
 logs together (with them the distribution of the sum is a gamma distribution).
+
+A strong tone is predictable: whitening takes it for the colour of the noise, the more the stronger it
+is. So it is looked for in what is left over as it is, too, whose periodogram is divided by its running
+median (that of an exponential distribution with mean 1 is ln 2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
+from waferbot_twin.diagnosis.record import Array
 
 MOST_TONES = 3
 """How many frequencies are tried: each costs a simulation for every parameter and log."""
 
 FINER = 4
 """Frequencies of a periodogram for each independent one, at least."""
+
+AROUND = 41
+"""Independent frequencies whose median is what is around one."""
+
+WAYS = 2
+"""In how many ways tones are looked for."""
 
 CHANCE = 0.01
 """Probability at most that white noise alone has a tone: the sum of those of all frequencies."""
@@ -53,34 +66,56 @@ def at_tones(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> lis
 
 def tones(problem: Problem, base: Hypothesis) -> list[float]:
     """Return the frequencies, Hz, that stand out most in what the plant leaves over."""
-    channels = problem.channel_names(PLANT)
-    if not channels:
+    if not problem.channel_names(PLANT):
         return []
-    rates_hz = problem.plant_rates_hz
-    white = base.fits[PLANT].whitened
-    rate_hz = max(rates_hz)
-    longest = max(len(one) for one in white)
-    points = FINER * longest
-    frequency_hz = np.fft.rfftfreq(points, 1.0 / rate_hz)
-    found: list[tuple[float, float]] = []
-    for name in dict.fromkeys(channels):
-        own = [
-            one
-            for one, channel, rate in zip(white, channels, rates_hz, strict=True)
-            if channel == name and abs(rate / rate_hz - 1.0) < 1e-6
-        ]
-        if not own:
-            continue
-        powers = [np.abs(np.fft.rfft(one, points)) ** 2 / len(one) for one in own]
-        power = np.sum(powers, axis=0)
-        chance = gamma(len(own)).sf(power) * len(frequency_hz) * len(set(channels))
-        peaks = 1 + np.flatnonzero(
-            (power[1:-1] >= np.maximum(power[:-2], power[2:])) & (chance[1:-1] < CHANCE)
-        )
-        found += [(float(chance[peak]), float(frequency_hz[peak])) for peak in peaks]
+    rate_hz = max(problem.plant_rates_hz)
+    found = [
+        *_standing_out(problem, base.fits[PLANT].whitened, _periodogram),
+        *_standing_out(problem, base.residuals[PLANT], _flat_periodogram),
+    ]
+    longest = max(len(one) for one in base.residuals[PLANT])
     chosen: list[float] = []
     for _, one_hz in sorted(found):
         apart = all(abs(one_hz - other) > 2.0 * rate_hz / longest for other in chosen)
         if apart and len(chosen) < MOST_TONES:
             chosen.append(one_hz)
     return chosen
+
+
+def _standing_out(
+    problem: Problem, left: Sequence[Array], periodogram: Callable[[Array, int], Array]
+) -> Iterator[tuple[float, float]]:
+    """Give the peaks in what is left over by channel and log: how likely by chance, and where, Hz."""
+    channels = problem.channel_names(PLANT)
+    rates_hz = problem.plant_rates_hz
+    rate_hz = max(rates_hz)
+    points = FINER * max(len(one) for one in left)
+    frequency_hz = np.fft.rfftfreq(points, 1.0 / rate_hz)
+    for name in dict.fromkeys(channels):
+        own = [
+            one
+            for one, channel, rate in zip(left, channels, rates_hz, strict=True)
+            if channel == name and abs(rate / rate_hz - 1.0) < 1e-6
+        ]
+        if not own:
+            continue
+        power = np.sum([periodogram(one, points) for one in own], axis=0)
+        lines = WAYS * len(frequency_hz) * len(set(channels))
+        chance = gamma(len(own)).sf(power) * lines
+        peaks = 1 + np.flatnonzero(
+            (power[1:-1] >= np.maximum(power[:-2], power[2:])) & (chance[1:-1] < CHANCE)
+        )
+        yield from ((float(chance[peak]), float(frequency_hz[peak])) for peak in peaks)
+
+
+def _periodogram(white: Array, points: int) -> Array:
+    """Return the power of white noise with a variance of one, whose mean is one."""
+    return np.asarray(np.abs(np.fft.rfft(white, points)) ** 2 / len(white))
+
+
+def _flat_periodogram(left: Array, points: int) -> Array:
+    """Return the power of coloured noise over that around it; a window keeps strong lines narrow."""
+    window = np.hanning(len(left))
+    power = np.abs(np.fft.rfft(window * (left - left.mean()), points)) ** 2
+    around = median_filter(power, AROUND * FINER, mode='reflect') / math.log(2.0)
+    return np.asarray(np.divide(power, around, out=np.zeros_like(power), where=around > 0.0))

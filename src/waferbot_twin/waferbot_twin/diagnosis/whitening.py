@@ -176,12 +176,23 @@ def fit(
     signatures: Sequence[Array],
     noises: Sequence[Noise],
     rounds: int = 4,
+    from_white: bool = False,
 ) -> Fit:
-    """Fit the signatures (N, k) of all channels to their residuals (N,)."""
+    """
+    Fit the signatures (N, k) of all channels to their residuals (N,).
+
+    The noise is what is left of the residuals without them, at first all of it; or, `from_white`, what
+    ordinary least squares leave, as if it were white: a strong tone would be taken for its colour.
+    """
     count = signatures[0].shape[1]
-    value = np.zeros(count)
+    value: Array = np.zeros(count)
     if not count:
         return _result(residuals, value, np.zeros((0, 0)), noises)
+    if from_white:
+        solution, *_ = np.linalg.lstsq(
+            np.vstack(signatures), -np.concatenate(residuals), rcond=1e-10
+        )
+        value = np.asarray(solution)
     for _ in range(rounds):
         left = _left(residuals, signatures, value)
         filters = [_prediction_error(left, place, noise) for place, noise in enumerate(noises)]
