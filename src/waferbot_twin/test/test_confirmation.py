@@ -11,10 +11,16 @@ import pytest
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_twin.diagnosis.confirmation import ByCommand, _too_little, caused_by_command
+from waferbot_twin.diagnosis.confirmation import (
+    ByCommand,
+    _beyond_noise,
+    _too_little,
+    caused_by_command,
+)
 from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
+from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
@@ -40,6 +46,29 @@ def test_currents_must_show_what_they_should(gains, too_little):
 
 def test_what_the_plant_shows_does_not_count_as_currents():
     assert not _too_little(ByCommand(100.0, 320.0))
+
+
+def leaving(motion, causes=()):
+    """Return a hypothesis that leaves a slow motion of this size, counts, over in noise of one."""
+    noise = np.random.default_rng(20261129).normal(size=4000)
+    left = [motion * np.sin(np.linspace(0.0, 60.0, 4000)) + noise]
+    return Hypothesis(causes, {PLANT: left}, {PLANT: likelihood(left, [Noise(0.1, 24)])})
+
+
+@pytest.mark.parametrize(
+    ('before', 'after', 'beyond'),
+    [
+        (100.0, 20.0, True),
+        (100.0, 60.0, False),  # most of it is still there
+        (5.0, 0.0, False),  # noise may be as large
+    ],
+)
+def test_a_motion_too_large_for_noise_needs_no_noise_free_log(before, after, beyond):
+    effect, values = find('wrong_inertia'), {'mass': 1.0}
+    cause = Cause(effect, 'y_linear', values)
+    assert _beyond_noise(leaving(before), leaving(after, (cause,))) is beyond
+    # beside another cause it may stand in for a third
+    assert not _beyond_noise(leaving(before, (cause,)), leaving(after, (cause, cause)))
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ TIMING = Timing()
 pytestmark = pytest.mark.slow
 
 
-def log_of(nominal: Variant, cause: Cause, experiment: str) -> Problem:
+def log_of(nominal: Variant, cause: Cause, experiment: str, noise: float = 0.5) -> Problem:
     """Return the problem of a noisy log of half a second of a machine with a cause."""
     print(f'seed {SEED}')
     variant = apply_all(nominal, [cause])
@@ -39,9 +39,9 @@ def log_of(nominal: Variant, cause: Cause, experiment: str) -> Problem:
     commanded = commanded_positions(motion, parameters, TIMING.servo_hz)
     signals = run_commanded(variant, TIMING, commanded, TIMING.ticks(0.5))
     record = record_of_signals('log', signals)
-    noise = np.random.default_rng(SEED).normal(0.0, 0.5, record.reading.shape)
+    more = np.random.default_rng(SEED).normal(0.0, noise, record.reading.shape)
     steps = np.array([cause.values.get('step', 1.0), 1.0, 1.0, 1.0])  # of Y-Linear's encoder
-    reading = steps * np.round((record.reading + noise) / steps)
+    reading = steps * np.round((record.reading + more) / steps)
     return Problem(nominal, [replace(record, reading=reading)])
 
 
@@ -49,11 +49,11 @@ def quiet(what: str, done: int, total: int) -> None:
     """Show no progress."""
 
 
-def best_screened(problem: Problem, *names: str):
-    """Return what screening promises most of some effects on Y-Rotate."""
+def best_screened(problem: Problem, *names: str, axis: str = 'y_rotate'):
+    """Return what screening promises most of some effects on an axis."""
     base = evaluate(problem)
     effects = [find(name) for name in names]
-    every = [item for item in candidates(problem, effects) if item.axis == 'y_rotate']
+    every = [item for item in candidates(problem, effects) if item.axis == axis]
     found = signatures(problem, base, every, 1, quiet)
     first, *_ = screen(problem, base, every, found, [])
     return first
@@ -117,3 +117,25 @@ def test_whole_steps_are_likelier_of_an_encoder_that_has_nothing_between():
         assert gained(step) == pytest.approx(samples * math.log(step), rel=0.01)
     for step in (3.0, 12.0, 17.0, 32.0):  # readings are no multiples of these
         assert gained(step) == pytest.approx(0.0, abs=0.01 * samples)
+
+
+def test_friction_that_sticks_is_known_from_other_dry_friction_by_what_it_holds():
+    nominal = host(Variant.of(load_model('rigid')))
+    effect = find('direction_dependent_friction')
+    true = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
+    problem = log_of(nominal, true, 'swept_sine_y_linear')
+    frictions = ('coulomb_friction', 'presliding', 'stribeck_friction', 'viscous_friction')
+    first = best_screened(problem, effect.name, *frictions, 'constant_force', axis='y_linear')
+    assert first.cause.name == true.name
+    found = fit_causes(problem, (first.cause,)).causes[0]
+    assert found.values == pytest.approx(true.values, rel=0.02)
+
+
+def test_a_delay_of_two_interrupts_that_sets_a_loop_swinging_is_tried_as_two():
+    nominal = host(Variant.of(load_model('rigid')))
+    true = Cause(find('command_delay'), 'x_rotate', {'delay': 2.0})
+    problem = log_of(nominal, true, 'step', noise=0.0)
+    first = best_screened(
+        problem, 'command_delay', 'notch', 'wrong_derivative_gain', axis='x_rotate'
+    )
+    assert (first.cause.name, first.cause.values) == (true.name, true.values)
