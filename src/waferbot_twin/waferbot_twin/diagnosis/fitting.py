@@ -29,7 +29,12 @@ from waferbot_twin.diagnosis.hypothesis import (
     signature,
     width_of,
 )
-from waferbot_twin.diagnosis.jointly import fit_jointly, side_by_side, whitened_jointly
+from waferbot_twin.diagnosis.jointly import (
+    Signature,
+    fit_jointly,
+    side_by_side,
+    whitened_jointly,
+)
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.effects.effect import Parameter
@@ -213,9 +218,7 @@ def linearise(
     problem: Problem, now: Hypothesis, names: Names, workers: int = 1, usual: float = 0.0
 ) -> Linear:
     """Return the linear problem about a hypothesis, with the weight of what is usual."""
-    own = Parallel(n_jobs=workers)(
-        delayed(signature)(problem, now, now.causes, place) for place in range(len(now.causes))
-    )
+    own = _signatures(problem, now, workers)
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together)
@@ -234,6 +237,26 @@ def linearise(
     right = orthogonal.T @ right
     covariance = inverse @ inverse.T / np.outer(scale, scale)
     return Linear(inverse @ right / scale, covariance, triangle, right)
+
+
+def _signatures(problem: Problem, now: Hypothesis, workers: int) -> list[Signature]:
+    """Return the signatures of all causes, as many at a time as there are workers."""
+    every = range(len(now.causes))
+    # To send the logs to another process takes as long as to simulate some signatures: once to each.
+    parts = [every[first::workers] for first in range(min(workers, len(every)))]
+    found = Parallel(n_jobs=workers)(
+        delayed(_signatures_at)(problem, now, places) for places in parts
+    )
+    by_place = {
+        place: one
+        for places, own in zip(parts, found, strict=True)
+        for place, one in zip(places, own, strict=True)
+    }
+    return [by_place[place] for place in every]
+
+
+def _signatures_at(problem: Problem, now: Hypothesis, places: Sequence[int]) -> list[Signature]:
+    return [signature(problem, now, now.causes, place) for place in places]
 
 
 def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:
