@@ -16,6 +16,7 @@ from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.position_spectrum import orders_of
 from waferbot_twin.diagnosis.problem import PLANT, Problem
+from waferbot_twin.diagnosis.record import common_step
 from waferbot_twin.effects import (
     coarse_quantisation,
     cogging,
@@ -48,10 +49,8 @@ def coarse_readings(problem: Problem) -> list[Effect]:
             [record.reading[:, ENCODERS.index(encoder.place)] for record in problem.records]
         )
         known = np.unique(readings[np.isfinite(readings)])
-        if len(known) < LEAST_READINGS or np.any(known % 1.0 != 0.0):
-            continue
-        step = float(np.gcd.reduce(np.diff(known).astype(np.int64)))
-        if step > encoder.errors.coarseness:
+        step = float(common_step(known))
+        if len(known) >= LEAST_READINGS and step > encoder.errors.coarseness:
             steps[axis] = step
     return [coarse_quantisation.with_steps(steps)] if steps else []
 
