@@ -432,9 +432,28 @@ def check(document: Document, damping: str = 'improved') -> Description:
     if damping not in DAMPING:
         raise UserError(f'damping is {damping!r}; it is one of {", ".join(DAMPING)}')
     provenance: dict[str, str] = {}
-    data = _unwrap(document, document.data, (), damping, provenance)
+    data = {}
+    for name, section in document.data.items():
+        try:
+            data[name], origins = _unwrapped(name, pickle.dumps(section), damping)
+        except UserError:  # said again, with the place in this document
+            data[name], origins = _unwrap(document, section, (name,), damping, {}), {}
+        provenance |= origins
     _check_grammar(document, data)
     return _Reader(document, data).description(provenance)
+
+
+@lru_cache(maxsize=1024)
+def _unwrapped(name: str, pickled: bytes, damping: str) -> tuple[Any, dict[str, str]]:
+    """
+    Return a section with plain values, not to be changed, and where they are from.
+
+    A diagnosis checks thousands of descriptions that differ in a single section; what is the same
+    is remembered.
+    """
+    provenance: dict[str, str] = {}
+    nowhere = Document({})
+    return _unwrap(nowhere, pickle.loads(pickled), (name,), damping, provenance), provenance
 
 
 def _unwrap(
@@ -509,12 +528,7 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
 
 @lru_cache(maxsize=1024)
 def _section_is_valid(name: str, pickled: bytes) -> bool:
-    """
-    Apply the part of the schema for one section.
-
-    A diagnosis checks thousands of descriptions that differ in a single section; what is the same
-    is remembered.
-    """
+    """Apply the part of the schema for one section; answers are remembered as above."""
     return bool(_SECTION_SCHEMA[name].is_valid(pickle.loads(pickled)))
 
 

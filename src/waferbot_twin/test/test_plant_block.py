@@ -97,3 +97,36 @@ def test_what_could_give_explains_no_drive_that_is_rigid(name, size):
     typical = effect.typical(nominal, 'y_rotate')
     cause = Cause(effect, 'y_rotate', {key: size * value for key, value in typical.items()})
     assert evaluate(problem, (cause,)).log_likelihood < evaluate(problem).log_likelihood
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    'name',
+    [
+        'coulomb_friction:x_rotate',
+        'cogging:y_linear',
+        'bearing_moment_compliance:x_rotate',  # rings at 75 Hz
+        'belt_compliance:y_rotate',
+        'backlash:y_rotate',
+        'encoder_delay:y_rotate',
+        'phase_gain_mismatch:x_rotate',
+    ],
+)
+def test_steps_as_long_as_the_encoders_cycle_show_what_a_cause_changes(name):
+    """Half of the time for it; the difference from the exact change is a few percent of its power."""
+    nominal = host(Variant.of(load_model('rigid')))
+    axis = name.split(':')[1]
+    block = PlantBlock(record_of(nominal, f'random_{axis}', 0.3), nominal)
+    quick = block.in_encoder_ticks()
+    assert quick.record.ticks * block.record.timing.encoder_divider == block.record.ticks
+    effect = find(name.split(':')[0])
+    values = {
+        item.name: item.neutral + 0.3 * (item.typical - item.neutral)
+        for item in effect.parameters(nominal, axis)
+    }
+    other = effect.apply(nominal, axis, values)
+    exact, near = (
+        np.concatenate(one.residuals(other)) - np.concatenate(one.residuals(nominal))
+        for one in (block, quick)
+    )
+    assert np.sqrt(np.mean((near - exact) ** 2)) < 0.05 * np.sqrt(np.mean(exact**2))

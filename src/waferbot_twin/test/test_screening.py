@@ -98,7 +98,7 @@ def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
     (first,) = screen(problem, base, [cause], signatures(problem, base, [cause], 1, quiet), [])
     found = fit_causes(problem, (first.cause,))
     gained = 2.0 * (found.log_likelihood - base.log_likelihood)
-    assert first.score == pytest.approx(gained)
+    assert first.score == pytest.approx(gained, rel=1e-3)  # it is screened in steps twice as long
     assert gained > 1000.0
 
 

@@ -43,7 +43,7 @@ from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.report import as_dict
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import compact, host
+from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.places import moving_inertia
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -86,7 +86,7 @@ def log(variant: Variant, model: str, noise: float, experiment: str, seed: int) 
     noisy = with_noise(variant, nominal(model), noise, random)
     motion = load_experiment(experiment)
     timing = Timing()
-    twin = Twin(compact(noisy).build(timing), noisy.pmac, noisy.copley, timing, model)
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, model)
     twin.commanded = commanded_positions(motion, twin.servo_parameters, timing.servo_hz)
     signals = twin.advance(timing.ticks(motion.duration_s))
     if (signals.servo_state[:, FLAGS].astype(int) & MOTOR_KILLED).any():

@@ -193,6 +193,13 @@ class Problem:
         other.whitens = False
         return other
 
+    def quick(self) -> Problem:
+        """Return the same problem with longer steps of the plant: for what a cause changes in it."""
+        other = copy.copy(self)
+        parts = cast('list[PlantBlock]', self.blocks[PLANT])
+        other.blocks = {**self.blocks, PLANT: [part.in_encoder_ticks() for part in parts]}
+        return other
+
     def channels(self, block: str) -> list[Channel]:
         """Return every channel of a block, log by log."""
         return [

@@ -82,6 +82,22 @@ class Record:
         """How long the log is, s."""
         return self.timing.seconds(self.ticks)
 
+    def with_encoder_ticks(self) -> Record:
+        """
+        Return the record with ticks as long as the encoders' cycle and the mean current of each.
+
+        Without what was measured at the terminals, which is of the shorter ticks.
+        """
+        timing, times = self.timing, self.timing.encoder_divider
+        longer = Timing(timing.current_loop_hz // times, 1, timing.servo_divider // times)
+        return replace(
+            self,
+            timing=longer,
+            line_current=_means(self.line_current, times),
+            current=None if self.current is None else _means(self.current, times),
+            terminals=None,
+        )
+
     def part(self, first_s: float, last_s: float) -> Record:
         """Return the record up to a time, of which only what lies between two times is judged."""
         cycles = round(last_s * self.timing.servo_hz)
@@ -99,6 +115,12 @@ class Record:
             current=None if self.current is None else self.current[:ticks],
             late_s=None if self.late_s is None else self.late_s[:rows],
         )
+
+
+def _means(values: Array, times: int) -> Array:
+    """Return the mean of every so many rows of (n, k)."""
+    whole = len(values) // times * times
+    return np.asarray(values[:whole].reshape(-1, times, values.shape[1]).mean(axis=1))
 
 
 def common_step(readings: Array) -> int:

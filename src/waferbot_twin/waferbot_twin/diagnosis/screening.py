@@ -125,10 +125,15 @@ def signatures(
 
     None for one with which the simulation blows up.
     """
+    quick = problem.quick()
+    try:
+        begun = evaluate(quick, base.causes)
+    except UserError:
+        quick, begun = problem, base
     chunks = [rivals[first : first + CHUNK] for first in range(0, len(rivals), CHUNK)]
     found: list[Change | None] = []
     pool = Parallel(n_jobs=workers, return_as='generator')
-    for part in pool(delayed(_signatures)(problem, base, chunk) for chunk in chunks):
+    for part in pool(delayed(_signatures)(quick, begun, chunk) for chunk in chunks):
         found += part
         progress('screening', len(found), len(rivals))
     return found

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,6 +78,21 @@ BENT = 0.1
 """Correlation of estimates from which on one cause may have bent another."""
 
 
+@dataclass(frozen=True)
+class _Known:
+    """All candidates, and what each changes beside the causes that were known when that was found."""
+
+    candidates: Sequence[Cause]
+    changes: Sequence[Change | None]
+    beside: tuple[Cause, ...]
+
+    def changed(self, problem: Problem, causes: Sequence[Cause]) -> set[str]:
+        """Return the blocks in which other causes are known now."""
+        then, now = ({cause.name: cause for cause in some} for some in (self.beside, causes))
+        others = [(then | now)[name] for name in sorted(then.keys() ^ now.keys())]
+        return {block for cause in others for block in problem.touched(cause.effect, cause.axis)}
+
+
 def search(
     finding: Problem,
     judging: Problem,
@@ -101,11 +116,15 @@ def search(
         state.gains, state.rivals = dict(known_causes.gains), dict(known_causes.rivals)
         state.feigned = set(known_causes.feigned)
     at_first = len(state.found.causes)
-    known = signatures(finding, nothing, every, workers, progress)
+    known = _Known(
+        every,
+        signatures(finding, state.found, every, workers, progress),
+        state.found.causes,
+    )
     together = False
     for _ in range(MOST_ROUNDS):
         before = state.found
-        screened = _screen_round(finding, state.found, every, known, workers, progress)
+        screened = _screen_round(finding, state.found, known, workers, progress)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress)
         fitted += fit_last_bits(finding, judging, state, screened, fitted, progress)
@@ -125,7 +144,7 @@ def search(
     if known_causes and len(state.found.causes) == at_first:
         return state
     _confirm(finding, judging, state, progress, workers)
-    _revise(finding, judging, state, every, known, workers, progress)
+    _revise(finding, judging, state, known, workers, progress)
     state.far_off = far(state.found)
     return state
 
@@ -201,8 +220,7 @@ def _revise(
     finding: Problem,
     judging: Problem,
     state: Search,
-    every: Sequence[Cause],
-    known: Sequence[Change | None],
+    known: _Known,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -225,7 +243,7 @@ def _revise(
         if not open_ones:
             return
         beside = _names_beside(causes, open_ones[0])
-        _choose_again(finding, judging, state, open_ones[0], every, known, workers, progress)
+        _choose_again(finding, judging, state, open_ones[0], known, workers, progress)
         settled |= {
             (cause.name, beside) for cause in state.found.causes if cause.name not in beside
         }
@@ -250,8 +268,7 @@ def _choose_again(
     judging: Problem,
     state: Search,
     cause: Cause,
-    every: Sequence[Cause],
-    known: Sequence[Change | None],
+    known: _Known,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -266,7 +283,7 @@ def _choose_again(
         return
     screened = [
         item
-        for item in _screen_round(finding, found, every, known, workers, progress)
+        for item in _screen_round(finding, found, known, workers, progress)
         if item.cause.name != cause.name
     ]
     gained = 2.0 * (present.log_likelihood - found.log_likelihood)
@@ -281,20 +298,17 @@ def _choose_again(
 def _screen_round(
     problem: Problem,
     base: Hypothesis,
-    every: Sequence[Cause],
-    known: Sequence[Change | None],
+    known: _Known,
     workers: int,
     progress: Progress,
 ) -> list[Screened]:
     """Screen what is not yet among the causes; signatures that these change are found anew."""
     taken = {cause.name for cause in base.causes}
-    places = [place for place, cause in enumerate(every) if cause.name not in taken]
+    places = [place for place, cause in enumerate(known.candidates) if cause.name not in taken]
     of_base = [signature(problem, base, base.causes, place) for place in range(len(base.causes))]
-    rivals = [every[place] for place in places]
-    screened = screen(problem, base, rivals, [known[place] for place in places], of_base)
-    changed = {
-        block for cause in base.causes for block in problem.touched(cause.effect, cause.axis)
-    }
+    rivals = [known.candidates[place] for place in places]
+    screened = screen(problem, base, rivals, [known.changes[place] for place in places], of_base)
+    changed = known.changed(problem, base.causes)
     stale = [
         item.cause
         for item in screened

@@ -39,7 +39,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -85,10 +84,20 @@ class PredictionError:
 
     def __call__(self, channels: Sequence[Array], place: int) -> Array:
         """Return channel number `place`, (N,) or (N, k), filtered, without its first p samples."""
-        left = lfilter(self.own, 1.0, channels[place], axis=0)
+        left = _filter(self.own, channels[place])
         if self.beside:
-            left = left + lfilter(self.other, 1.0, channels[place + self.beside], axis=0)
-        return np.asarray(left[self.order :])
+            left = left + _filter(self.other, channels[place + self.beside])
+        return left
+
+
+def _filter(taps: Array, channel: Array) -> Array:
+    """Return the sums over k of taps[k] x[n - k], n = p ... N - 1, of every column of (N,) or (N, k)."""
+    if channel.ndim == 1:
+        return np.convolve(channel, taps, 'valid')
+    left = np.empty((len(channel) - len(taps) + 1, channel.shape[1]))
+    for place, column in enumerate(channel.T):
+        left[:, place] = np.convolve(column, taps, 'valid')
+    return left
 
 
 RIDGE = 1e-10

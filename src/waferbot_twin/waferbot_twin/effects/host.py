@@ -15,9 +15,11 @@ from dataclasses import replace
 from typing import Any
 
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.assembly import assemble
+from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.effects import frictions, places
-from waferbot_twin.effects.variant import Itself, Overlay, Variant
+from waferbot_twin.effects.variant import Itself, Overlay, Variant, with_rigid
 
 
 def host(variant: Variant) -> Variant:
@@ -46,19 +48,17 @@ def host(variant: Variant) -> Variant:
     return replace(roomy, origin=None)
 
 
-def compact(variant: Variant) -> Variant:
+def compact(variant: Variant) -> Description:
     """
-    Return a variant with its held connections rigid, if none of those of its host was let go.
+    Return a variant's machine with its held connections rigid, if none of those of its host was let go.
 
-    It moves alike, in fewer coordinates. One that lets go of anything is returned as it is: not to
-    compile a machine for every choice of what gives.
+    It moves alike, in fewer coordinates. That of one that lets go of anything is returned as it is: not
+    to compile a machine for every choice of what gives.
     """
     held = _held(variant)
     if not held or held != _held(variant.base):
-        return variant
-    return variant.with_overlay(
-        Overlay({'connections': {name: {'state': 'rigid'} for name in held}})
-    )
+        return variant.description
+    return with_rigid(variant.description, held)
 
 
 def built(variant: Variant, timing: Timing) -> Machine:
@@ -68,7 +68,8 @@ def built(variant: Variant, timing: Timing) -> Machine:
 
 @functools.lru_cache(maxsize=4)
 def _built(variant: Itself, timing: Timing) -> Machine:
-    return compact(variant.variant).build(timing)
+    description = compact(variant.variant)
+    return Machine(description, assemble(description), timing)
 
 
 def _held(variant: Variant) -> list[str]:

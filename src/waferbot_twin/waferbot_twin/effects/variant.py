@@ -10,7 +10,7 @@ that every engine runs, and a file that every node loads.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -99,11 +99,7 @@ class Variant:
     @cached_property
     def rigid(self) -> Assembly:
         """The machine with every connection rigid: what moves with what, and how much of it."""
-        connections = {
-            name: replace(part, flexible=False, held=False)
-            for name, part in self.description.connections.items()
-        }
-        return assemble(replace(self.description, connections=connections))
+        return assemble(with_rigid(self.description, self.description.connections))
 
     @cached_property
     def _servo(self) -> np.void:
@@ -145,6 +141,14 @@ class Variant:
     def machine_text(self) -> str:
         """The description as the text of one YAML file."""
         return yaml.dump(dict(self.machine), Dumper=_WithoutAliases, sort_keys=False)
+
+
+def with_rigid(description: Description, names: Iterable[str]) -> Description:
+    """Return a description in which these connections do not give."""
+    rigid = {
+        name: replace(description.connections[name], flexible=False, held=False) for name in names
+    }
+    return replace(description, connections={**description.connections, **rigid})
 
 
 class Itself:
