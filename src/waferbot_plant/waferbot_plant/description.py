@@ -70,6 +70,18 @@ _SECTION_SCHEMA = {
     name: jsonschema.Draft202012Validator({'$defs': _SCHEMA['$defs'], **schema})
     for name, schema in _SCHEMA['properties'].items()
 }
+_BY_ENTRY = frozenset(
+    name
+    for name, schema in _SCHEMA['properties'].items()
+    if {
+        key
+        for key in _SCHEMA['$defs'].get(schema.get('$ref', '').rpartition('/')[2], schema)
+        if key != 'description'
+    }
+    <= {'type', 'propertyNames', 'additionalProperties', 'minProperties'}
+)
+"""Sections that are valid if there are entries and each of them is."""
+
 _UNITS = {False: ('m', 'n', 'n_m', 'n_s_m'), True: ('rad', 'nm', 'nm_rad', 'nm_s_rad')}
 
 
@@ -529,6 +541,17 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
 @lru_cache(maxsize=1024)
 def _section_is_valid(name: str, pickled: bytes) -> bool:
     """Apply the part of the schema for one section; answers are remembered as above."""
+    section = pickle.loads(pickled)
+    if name in _BY_ENTRY and isinstance(section, dict) and section:
+        return all(
+            _entry_is_valid(name, pickle.dumps({key: entry})) for key, entry in section.items()
+        )
+    return bool(_SECTION_SCHEMA[name].is_valid(section))
+
+
+@lru_cache(maxsize=4096)
+def _entry_is_valid(name: str, pickled: bytes) -> bool:
+    """Apply the part of the schema for one section to one with a single entry."""
     return bool(_SECTION_SCHEMA[name].is_valid(pickle.loads(pickled)))
 
 

@@ -11,6 +11,7 @@ machine's directions in them: gravity along -y, rails along y, X-Rotate along x.
 from __future__ import annotations
 
 import dataclasses
+import pickle
 import typing
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -67,9 +68,21 @@ class Carried:
 
 def read_part(document: Document, key: Key, data: dict[str, Any]) -> Any:
     """Build a part from its mapping; raises `UserError` naming file, line and key."""
+    try:
+        return _part(pickle.dumps(data))
+    except UserError:  # said again, with the place in this document
+        return _of_kind(document, key, data)
+
+
+@lru_cache(maxsize=256)
+def _part(pickled: bytes) -> Any:
+    """Build a part; remembered, since descriptions by the thousand have the same ones."""
+    return _of_kind(Document({}), (), pickle.loads(pickled))
+
+
+def _of_kind(document: Document, key: Key, data: dict[str, Any]) -> Any:
     values = dict(data)
-    kind = KINDS[values.pop('kind')]
-    return _build(document, key, kind, values)
+    return _build(document, key, KINDS[values.pop('kind')], values)
 
 
 _fields = lru_cache(maxsize=None)(typing.get_type_hints)
@@ -125,13 +138,8 @@ def stiffness(part: Any, direction: str, carried: Callable[[], Carried]) -> tupl
 
     `carried` tells what hangs on the joint that the part is in; asked of bearings only.
     """
-    if isinstance(part, LinearBearing):
-        moments = linear_bearing.moment_stiffness(part, guide_load(part, carried()))
-        return getattr(moments, f'{direction}_nm_per_rad'), True
-    if isinstance(part, CrossRollerBearing):
-        stiffnesses = cross_roller_bearing.stiffness(part, ring_load(carried()))
-        rotary = direction != 'radial_y'
-        return getattr(stiffnesses, f'{direction}_{"nm_per_rad" if rotary else "n_per_m"}'), rotary
+    if isinstance(part, (LinearBearing, CrossRollerBearing)):
+        return _bearing_stiffness(part, direction, carried())
     if isinstance(part, Shaft):
         if direction == 'torsion':
             return shaft.torsional_stiffness_nm_per_rad(part), True
@@ -141,6 +149,19 @@ def stiffness(part: Any, direction: str, carried: Callable[[], Carried]) -> tupl
     if isinstance(part, Belt):
         return belt.axial_stiffness_n_per_m(part), False
     return cable.effective_stiffness_n_per_m(part), False
+
+
+@lru_cache(maxsize=1024)
+def _bearing_stiffness(
+    part: LinearBearing | CrossRollerBearing, direction: str, carried: Carried
+) -> tuple[float, bool]:
+    """Return the stiffness of a bearing that carries something, as above."""
+    if isinstance(part, LinearBearing):
+        moments = linear_bearing.moment_stiffness(part, guide_load(part, carried))
+        return getattr(moments, f'{direction}_nm_per_rad'), True
+    stiffnesses = cross_roller_bearing.stiffness(part, ring_load(carried))
+    rotary = direction != 'radial_y'
+    return getattr(stiffnesses, f'{direction}_{"nm_per_rad" if rotary else "n_per_m"}'), rotary
 
 
 def guide_load(part: LinearBearing, carried: Carried) -> linear_bearing.BlockLoad:
