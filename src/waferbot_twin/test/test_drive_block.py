@@ -79,6 +79,21 @@ def test_a_drive_that_is_right_is_quiet_whatever_the_mechanism_is(nominal, hidde
         assert rms(left) < CURRENT_NOISE_A / np.sqrt(cycle), channel
 
 
+@pytest.mark.parametrize('block', [WindingsBlock, CurrentLoopBlock])
+def test_windings_are_not_moved_by_an_encoder_with_large_steps(nominal, block):
+    """Steps of the position would be errors k dx / L of the current that other causes explain."""
+    record = log(nominal)
+    coarse = record.reading.copy()
+    coarse[:, AXES.index('x_rotate')] //= 24.0
+    coarse[:, AXES.index('x_rotate')] *= 24.0
+    rougher = replace(record, reading=coarse)
+    fine = residuals(block, record, nominal, nominal)
+    left = residuals(block, rougher, nominal, nominal)
+    assert left.keys() == {name for name in fine if not name.startswith('x_rotate')}
+    for name, channel in left.items():
+        np.testing.assert_array_equal(channel, fine[name])
+
+
 def test_without_noise_windings_are_right_to_a_fraction_of_the_noise(nominal):
     record = log(nominal, level=0.0)
     for channel, left in residuals(WindingsBlock, record, nominal, nominal).items():

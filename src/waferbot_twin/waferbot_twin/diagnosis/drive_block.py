@@ -31,7 +31,7 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES
 from waferbot_plant import current_sensors, motors, windings
 from waferbot_twin.diagnosis.motor_motion import MotorMotion
-from waferbot_twin.diagnosis.record import Array, Record, mean_over_ticks
+from waferbot_twin.diagnosis.record import Array, Record, common_step, mean_over_ticks
 from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.places import amplified_axes
 from waferbot_twin.effects.variant import Variant
@@ -51,6 +51,12 @@ FLOOR_A = 1e-4
 
 SETTLING_S = 0.05
 """What is left out at the beginning of a log: several time constants L/R of usual motors."""
+
+TOO_COARSE = 8
+"""
+Steps of an encoder, counts, from which on windings are not moved by it: the steps would seem to be
+errors of scale and of the current's sensors.
+"""
 
 LINES = current_sensors.LINES
 
@@ -148,7 +154,7 @@ class WindingsBlock(_OfLines):
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
         self.record = record
-        self._lines = _Lines(record, _moved_places(record, variant))
+        self._lines = _Lines(record, _finely_moved_places(record, variant))
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
         self.noises = [Noise(FLOOR_A, self.order)] * len(self.channels)
@@ -177,7 +183,7 @@ class CurrentLoopBlock(_OfLines):
     def __init__(self, record: Record, variant: Variant) -> None:
         """Prepare what does not depend on the values of the model."""
         self.record = record
-        moved = _moved_places(record, variant)
+        moved = _finely_moved_places(record, variant)
         places = [place for place in _commanded_places(record, variant) if place in moved]
         self._lines = _Lines(record, places)
         self._motion = MotorMotion(record)
@@ -247,6 +253,19 @@ def _moved_places(record: Record, variant: Variant) -> list[int]:
         place
         for place, encoder in encoders.items()
         if encoder is not None and np.isfinite(record.reading[:, encoder]).all()
+    ]
+
+
+def _finely_moved_places(record: Record, variant: Variant) -> list[int]:
+    """Return those of the axes above of which the steps of the readings are not too large."""
+    encoders = {
+        place: windings.motor_encoder(variant.description, AXES[place])
+        for place in _moved_places(record, variant)
+    }
+    return [
+        place
+        for place, encoder in encoders.items()
+        if common_step(record.reading[:, encoder]) < TOO_COARSE
     ]
 
 

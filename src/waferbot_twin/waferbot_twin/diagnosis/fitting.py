@@ -217,8 +217,16 @@ def _width(cause: Cause, item: Parameter) -> float:
 def linearise(
     problem: Problem, now: Hypothesis, names: Names, workers: int = 1, usual: float = 0.0
 ) -> Linear:
-    """Return the linear problem about a hypothesis, with the weight of what is usual."""
-    own = _signatures(problem, now, workers)
+    """
+    Return the linear problem about a hypothesis, with the weight of what is usual.
+
+    With it the model is far from the machine, and the way there need not be exact.
+    """
+    if usual:
+        quick = problem.quick()
+        own = _signatures(quick, evaluate(quick, now.causes), workers)
+    else:
+        own = _signatures(problem, now, workers)
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together)

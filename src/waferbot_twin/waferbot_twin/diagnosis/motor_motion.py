@@ -19,7 +19,7 @@ from scipy.signal import savgol_filter
 
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_plant.windings import motor_positions
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array, Record, common_step
 
 SMOOTHED, DEGREE = 15, 5
 """
@@ -38,7 +38,9 @@ class MotorMotion:
         """Take the counts of encoders without a gap; the others are taken as 0."""
         self._timing = record.timing
         self._ticks = record.ticks
-        counts = record.reading + (0.5 if record.whole_counts else 0.0)
+        counts = record.reading.copy()
+        if record.whole_counts:  # rounded down to a whole step
+            counts += [0.5 * max(1, common_step(column)) for column in counts.T]
         counts[:, ~np.isfinite(counts).all(axis=0)] = 0.0
         self._counts = counts
 
