@@ -16,7 +16,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Problem
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
-from waferbot_twin.diagnosis.tones import CHANCE, at_tones, tones
+from waferbot_twin.diagnosis.tones import CHANCE, at_tones, lasting_tones, tones
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
@@ -104,3 +104,21 @@ def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     assert np.hypot(values['cosine'], values['sine']) == pytest.approx(
         np.hypot(0.05, 0.08), rel=0.1
     )
+
+
+def test_a_tone_lasts_if_all_logs_have_it_at_one_frequency_on_one_axis():
+    seed = 20261126
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+
+    def log(frequency_hz, length=2000):
+        time_s = np.arange(length) / RATE_HZ
+        phase = random.uniform(0, 6)
+        return random.normal(0.0, 1.0, length) + 0.4 * np.sin(
+            6.2832 * frequency_hz * time_s + phase
+        )
+
+    first = white([log(48.7)])
+    assert lasting_tones(*first, *white([log(48.9)])) == {'x_rotate': pytest.approx(48.7, abs=0.5)}
+    assert not lasting_tones(*first, *white([log(70.0)]))
+    assert not lasting_tones(*first, *white([random.normal(0.0, 1.0, 2000)]))

@@ -18,8 +18,11 @@ import numpy as np
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 
-SIZES = tuple(np.geomspace(0.2, 40.0, 533))
-"""Times the linear estimate at which a cause is tried, 1 % apart: a few bits fit only so much."""
+SIZES = tuple(np.geomspace(0.2, 4000.0, 996))
+"""
+Times the linear estimate at which a cause is tried, 1 % apart: a few bits fit only so much. Where a bit
+in fifty cycles is another, the estimate can be a thousand times too small.
+"""
 
 FEW = 0.5
 """Share of a controller's cycles that differ from which on a fit finds its way by itself."""
@@ -37,16 +40,19 @@ def with_fewest_differences(
     Return a cause in the size in which the fewest cycles differ beside the causes of `base`.
 
     `times` gives the cause in a size that is so many times the estimate. It is returned as it starts
-    where none is better, or where more than `FEW` of the axis' cycles differ without it.
+    where none is better, or where more than `FEW` of the axis' cycles differ without it and with it.
 
     Raises `UserError` if the simulation blows up.
     """
     every = zip(problem.channels(CONTROLLER), base.residuals[CONTROLLER], strict=True)
-    of_axis = [residual != 0.0 for channel, residual in every if channel.axis == start.axis]
-    if not of_axis or np.mean(np.concatenate(of_axis)) > FEW:
-        return start
+    of_axis = [residual for channel, residual in every if channel.axis == start.axis]
+    without = sum(int(np.count_nonzero(residual)) for residual in of_axis)
     fewest, best = _differing(problem, base, start), start
-    for size in SIZES if fewest else ():
+    if min(without, fewest) > FEW * sum(map(len, of_axis)):
+        return start
+    for size in SIZES:
+        if not fewest:
+            break
         tried = times(size)
         differing = _differing(problem, base, tried)
         if differing < fewest:

@@ -2,10 +2,10 @@
 """
 What the causes leave unexplained, and where.
 
-Five kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+Six kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
 block whose output follows from its input to the last bit still does something else; what is left follows
-the command (`following`); the logs want different values of a cause (`agreement`); or a table of force
-over speed or position explains it.
+the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
+a cause (`agreement`); or a table of force over speed or position explains it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.shortlist import PLAIN
 from waferbot_twin.diagnosis.together import far_channels
+from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.effects.places import motor_axes, moves_with
 
 LEFT_SHARE = 0.05
@@ -38,12 +39,14 @@ class LeftOver:
     What the causes leave unexplained.
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
-    the command; by block those with something `different`; causes on which the logs are `disagreeing`;
+    the command; by axis the frequency, Hz, of a tone (`sounding`); by block those with something
+    `different`; causes on which the logs are `disagreeing`;
     `tables` of force that explain it.
     """
 
     moving: list[str]
     following: list[str]
+    sounding: Mapping[str, float]
     different: Mapping[str, Sequence[str]]
     disagreeing: list[Disagreement]
     tables: list[Cause]
@@ -53,6 +56,7 @@ class LeftOver:
     def axes(self) -> list[str]:
         """All axes on which something is left unexplained, each once."""
         every = [cause.axis for cause in self.tables] + self.moving + self.following
+        every += self.sounding
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
         return list(dict.fromkeys(every))
@@ -78,6 +82,7 @@ def left_over(
     """Ask for all kinds of evidence; for tables only where the plant is near the machine."""
     moving = axes_that_move(problem, found)
     following = axes_that_follow(problem, judge, found)
+    sounding = lasting_tones(problem, found.found, judge, found.judged)
     different = axes_that_differ(problem, judge, found)
     disagreeing = [] if moving else disagreements(problem, judge, found)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
@@ -91,12 +96,17 @@ def left_over(
         notes.append(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
         )
+    notes += [
+        f'what is left over on {axis} has a tone of {frequency_hz:.1f} Hz in all logs, whatever was '
+        'commanded'
+        for axis, frequency_hz in sounding.items()
+    ]
     if moving and found.found.causes:
         notes.append(
             f'what is left over on {", ".join(moving)} is no noise: the machine differs in more than '
             'the causes found, and their values are those that stand in for it best'
         )
-    return LeftOver(moving, following, different, disagreeing, tables_found, notes)
+    return LeftOver(moving, following, sounding, different, disagreeing, tables_found, notes)
 
 
 def _tables(

@@ -18,14 +18,16 @@ median (that of an exponential distribution with mean 1 is ln 2).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
+from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.record import Array
@@ -64,28 +66,60 @@ def at_tones(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> lis
     return found
 
 
+@dataclass(frozen=True, order=True)
+class Tone:
+    """A frequency that stands out in a channel, and how probable it is that noise alone has one."""
+
+    chance: float
+    frequency_hz: float
+    channel: str
+
+
 def tones(problem: Problem, base: Hypothesis) -> list[float]:
     """Return the frequencies, Hz, that stand out most in what the plant leaves over."""
+    chosen: list[float] = []
+    for tone in _all_tones(problem, base):
+        apart = all(abs(tone.frequency_hz - other) > _width_hz(problem, base) for other in chosen)
+        if apart and len(chosen) < MOST_TONES:
+            chosen.append(tone.frequency_hz)
+    return chosen
+
+
+def lasting_tones(
+    finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
+) -> dict[str, float]:
+    """Return by axis the frequency, Hz, that stands out most in all logs, whatever was commanded."""
+    own, others = _all_tones(finding, found), _all_tones(judging, judged)
+    lasting: dict[str, float] = {}
+    for tone, other in itertools.product(own, others):
+        width_hz = max(_width_hz(finding, found), _width_hz(judging, judged))
+        near = abs(tone.frequency_hz - other.frequency_hz) < width_hz
+        if near and tone.channel == other.channel:
+            lasting.setdefault(AXIS_OF[tone.channel], tone.frequency_hz)
+    return lasting
+
+
+def _all_tones(problem: Problem, base: Hypothesis) -> list[Tone]:
+    """Return every tone in what the plant leaves over, the least probable first."""
     if not problem.channel_names(PLANT):
         return []
-    rate_hz = max(problem.plant_rates_hz)
-    found = [
-        *_standing_out(problem, base.fits[PLANT].whitened, _periodogram),
-        *_standing_out(problem, base.residuals[PLANT], _flat_periodogram),
-    ]
-    longest = max(len(one) for one in base.residuals[PLANT])
-    chosen: list[float] = []
-    for _, one_hz in sorted(found):
-        apart = all(abs(one_hz - other) > 2.0 * rate_hz / longest for other in chosen)
-        if apart and len(chosen) < MOST_TONES:
-            chosen.append(one_hz)
-    return chosen
+    return sorted(
+        [
+            *_standing_out(problem, base.fits[PLANT].whitened, _periodogram),
+            *_standing_out(problem, base.residuals[PLANT], _flat_periodogram),
+        ]
+    )
+
+
+def _width_hz(problem: Problem, base: Hypothesis) -> float:
+    """Return how near two frequencies are one in the longest log."""
+    return 2.0 * max(problem.plant_rates_hz) / max(len(one) for one in base.residuals[PLANT])
 
 
 def _standing_out(
     problem: Problem, left: Sequence[Array], periodogram: Callable[[Array, int], Array]
-) -> Iterator[tuple[float, float]]:
-    """Give the peaks in what is left over by channel and log: how likely by chance, and where, Hz."""
+) -> Iterator[Tone]:
+    """Give the peaks in what is left over, channel by channel."""
     channels = problem.channel_names(PLANT)
     rates_hz = problem.plant_rates_hz
     rate_hz = max(rates_hz)
@@ -105,7 +139,7 @@ def _standing_out(
         peaks = 1 + np.flatnonzero(
             (power[1:-1] >= np.maximum(power[:-2], power[2:])) & (chance[1:-1] < CHANCE)
         )
-        yield from ((float(chance[peak]), float(frequency_hz[peak])) for peak in peaks)
+        yield from (Tone(float(chance[peak]), float(frequency_hz[peak]), name) for peak in peaks)
 
 
 def _periodogram(white: Array, points: int) -> Array:
