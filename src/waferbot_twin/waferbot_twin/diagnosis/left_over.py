@@ -97,8 +97,7 @@ def left_over(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
         )
     notes += [
-        f'what is left over on {axis} has a tone of {frequency_hz:.1f} Hz in all logs, whatever was '
-        'commanded'
+        f'what is left over on {axis} has a tone of {frequency_hz:.1f} Hz in all logs'
         for axis, frequency_hz in sounding.items()
     ]
     if moving and found.found.causes:

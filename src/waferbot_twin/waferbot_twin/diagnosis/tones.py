@@ -88,7 +88,7 @@ def tones(problem: Problem, base: Hypothesis) -> list[float]:
 def lasting_tones(
     finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
 ) -> dict[str, float]:
-    """Return by axis the frequency, Hz, that stands out most in all logs, whatever was commanded."""
+    """Return by axis the frequency, Hz, that stands out most in all logs, for finding and judging."""
     own, others = _all_tones(finding, found), _all_tones(judging, judged)
     lasting: dict[str, float] = {}
     for tone, other in itertools.product(own, others):
