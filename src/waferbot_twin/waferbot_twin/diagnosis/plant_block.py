@@ -162,7 +162,7 @@ class PlantBlock:
         residual is to be compared with others of the same block only.
         """
         timing = self.record.timing
-        if timing.current_loop_hz % timing.encoder_divider:
+        if timing.encoder_divider == 1 or timing.current_loop_hz % timing.encoder_divider:
             return self
         other = copy.copy(self)
         other.record = self.record.with_encoder_ticks()
