@@ -3,9 +3,9 @@
 Screening: every effect of the library on every axis, fitted linearly to what is left over.
 
 The signature of an effect, what a little of it changes in the residuals, comes from the simulation
-itself, so a new effect needs no formula of its own here. The plant takes steps of the encoders' cycle for
-it (`Problem.quick`). Signatures are found once, with the causes that were known then; a later round finds
-anew only those that look most likely.
+itself, so a new effect needs no formula of its own here. The plant takes steps of the encoders' cycle
+for it (`Problem.quick`). Signatures are found once, with the causes that were known then; a later round
+finds anew only those that look most likely.
 
 An effect that changes the structure of a machine as soon as there is any of it, and only then grows in
 proportion, begins where there is a little: what that little changes is taken from the residuals first.
