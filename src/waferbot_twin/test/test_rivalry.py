@@ -64,8 +64,8 @@ class World:
     def judge(self, causes):
         return hypothesis(causes, self.in_judging[causes[0].name] if causes else 0.0)
 
-    def search(self, own, *rivals):
-        found = Search(hypothesis([own], 0.0), self.judge([own]), None, None)
+    def search(self, own, *rivals, since=()):
+        found = Search(hypothesis([own, *since], 0.0), self.judge([own]), None, None)
         found.gains, found.rivals = {own.name: 100.0}, {own.name: list(rivals)}
         logs = SimpleNamespace(nominal=None, records=())
         return rivalry.weighed_in_all_logs(logs, logs, found, lambda *what: None)
@@ -99,6 +99,21 @@ def test_what_is_far_worse_where_it_was_fitted_is_not_fitted_again(monkeypatch, 
     found = world.search(own, Rival(rival, 9.0, 9.0, 4.0), far_off)
     assert world.fitted == [own.name, rival.name]
     assert far_off in found.rivals[own.name]
+
+
+def test_a_rival_that_was_behind_while_another_cause_lacked_is_weighed_beside_it(
+    monkeypatch, causes
+):
+    own, rival, later = causes
+    likely = {own.name: 900.0, rival.name: 901.0}
+    world = World(monkeypatch, likely, {own.name: 500.0, rival.name: 500.0, later.name: 0.0})
+    behind = Rival(rival, 25.0, 25.0, 25.0)  # of the 100 that the cause gained then
+    assert world.search(own, behind).rivals[own.name] == [behind]
+    assert not world.fitted
+    found = world.search(own, behind, since=[later])
+    assert found.found.causes[-1] == later
+    weighed = [item.less_likely for items in found.rivals.values() for item in items]
+    assert min(map(abs, weighed)) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,12 @@ from waferbot_twin.diagnosis.search_state import (
 CLOSE = 2.0 * TELLS_APART
 """Difference in 2 ln L, in the logs for finding, up to which a rival is worth a fit to all logs."""
 
+SINCE = 0.3
+"""
+Share of what a cause gained up to which a rival is worth that, too, if others were found since: what it
+was behind may have been theirs.
+"""
+
 MOST_RIVALS = 4
 """How many rivals of a cause are fitted to all logs."""
 
@@ -51,7 +57,7 @@ def weighed_in_all_logs(
     every: Problem | None = None
     weighed: Hypothesis | None = None
     for place, cause in enumerate(found.found.causes):
-        close = _close(found, cause.name)
+        close = _close(found, place)
         if not close:
             continue
         every = every or Problem(problem.nominal, (*problem.records, *judge.records))
@@ -65,9 +71,12 @@ def weighed_in_all_logs(
     return found
 
 
-def _close(found: Search, name: str) -> list[Rival]:
-    """Return the rivals of a cause that do about as well in the logs for finding, the best first."""
-    rivals = [item for item in found.rivals.get(name, []) if item.in_finding < CLOSE]
+def _close(found: Search, place: int) -> list[Rival]:
+    """Return the rivals of a cause that may do as well in the logs for finding, the best first."""
+    *_, last = found.found.causes
+    cause = found.found.causes[place]
+    behind = CLOSE if cause is last else max(CLOSE, SINCE * found.gains.get(cause.name, 0.0))
+    rivals = [item for item in found.rivals.get(cause.name, []) if item.in_finding < behind]
     return sorted(rivals, key=lambda item: item.in_finding)[:MOST_RIVALS]
 
 
