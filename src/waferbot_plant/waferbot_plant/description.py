@@ -73,12 +73,8 @@ _SECTION_SCHEMA = {
 _BY_ENTRY = frozenset(
     name
     for name, schema in _SCHEMA['properties'].items()
-    if {
-        key
-        for key in _SCHEMA['$defs'].get(schema.get('$ref', '').rpartition('/')[2], schema)
-        if key != 'description'
-    }
-    <= {'type', 'propertyNames', 'additionalProperties', 'minProperties'}
+    if set(_SCHEMA['$defs'].get(schema.get('$ref', '').rpartition('/')[2], schema))
+    <= {'type', 'propertyNames', 'additionalProperties', 'minProperties', 'description'}
 )
 """Sections that are valid if there are entries and each of them is."""
 
@@ -448,8 +444,11 @@ def check(document: Document, damping: str = 'improved') -> Description:
     for name, section in document.data.items():
         try:
             data[name], origins = _unwrapped(name, pickle.dumps(section), damping)
-        except UserError:  # said again, with the place in this document
-            data[name], origins = _unwrap(document, section, (name,), damping, {}), {}
+        except UserError:
+            _unwrap(
+                document, section, (name,), damping, {}
+            )  # says it with the place in this document
+            raise
         provenance |= origins
     _check_grammar(document, data)
     return _Reader(document, data).description(provenance)

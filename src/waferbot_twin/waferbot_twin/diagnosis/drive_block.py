@@ -55,7 +55,8 @@ SETTLING_S = 0.05
 TOO_COARSE = 8
 """
 Steps of an encoder, counts, from which on windings are not moved by it: the steps would seem to be
-errors of scale and of the current's sensors.
+errors of scale and of the current's sensors. Seen with 24 and 64 on X-Rotate, not with 4 and 16; a motor
+with more back-EMF k over inductance L needs less.
 """
 
 LINES = current_sensors.LINES
@@ -212,7 +213,7 @@ def driven_currents(record: Record, variant: Variant) -> Array:
     Amplifiers and windings are those of the model, and move as the encoders say. Where amplifier,
     command or motion of an axis is not known, the record's own currents stay.
     """
-    known = set(_commanded_places(record, variant)) & set(_moved_places(record, variant))
+    known = set(_commanded_places(record, variant)) & _motor_encoders(record, variant).keys()
     settings = amplifier_parameters(variant.copley, record.timing, variant.name)
     computed = np.zeros_like(record.line_current)
     _run_current_loop(
@@ -244,27 +245,23 @@ def _commanded_places(record: Record, variant: Variant) -> list[int]:
     ]
 
 
-def _moved_places(record: Record, variant: Variant) -> list[int]:
-    """Return the axes whose motor has an encoder, with its counts."""
+def _motor_encoders(record: Record, variant: Variant) -> dict[int, int]:
+    """Return the axes whose motor has an encoder with its counts, and which encoder that is."""
     encoders = {
         place: windings.motor_encoder(variant.description, axis) for place, axis in enumerate(AXES)
     }
-    return [
-        place
+    return {
+        place: encoder
         for place, encoder in encoders.items()
         if encoder is not None and np.isfinite(record.reading[:, encoder]).all()
-    ]
+    }
 
 
 def _finely_moved_places(record: Record, variant: Variant) -> list[int]:
-    """Return those of the axes above of which the steps of the readings are not too large."""
-    encoders = {
-        place: windings.motor_encoder(variant.description, AXES[place])
-        for place in _moved_places(record, variant)
-    }
+    """Return those of the axes whose motor has an encoder of which the steps are not too large."""
     return [
         place
-        for place, encoder in encoders.items()
+        for place, encoder in _motor_encoders(record, variant).items()
         if common_step(record.reading[:, encoder]) < TOO_COARSE
     ]
 

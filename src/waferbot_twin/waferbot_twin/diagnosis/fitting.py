@@ -25,6 +25,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import (
     Hypothesis,
     evaluate,
+    in_quick_steps,
     parameters_of,
     signature,
     width_of,
@@ -222,11 +223,7 @@ def linearise(
 
     With it the model is far from the machine, and the way there need not be exact.
     """
-    if usual:
-        quick = problem.quick()
-        own = _signatures(quick, evaluate(quick, now.causes), workers)
-    else:
-        own = _signatures(problem, now, workers)
+    own = _signatures(*(in_quick_steps(problem, now) if usual else (problem, now)), workers)
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together)

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.whitening import Fit
 from waferbot_twin.effects.effect import Parameter
@@ -59,6 +60,23 @@ def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
         if parts
     }
     return Hypothesis(causes, residuals, problem.judge(residuals))
+
+
+def in_quick_steps(problem: Problem, base: Hypothesis) -> tuple[Problem, Hypothesis]:
+    """
+    Return a problem and a hypothesis in longer steps of the plant, to find what causes change.
+
+    Only its residuals are those of the longer steps. Both are returned as they are if the plant blows up
+    so.
+    """
+    quick = problem.quick()
+    if PLANT not in base.residuals:
+        return problem, base
+    try:
+        left = quick.residuals(apply_all(problem.nominal, base.causes), PLANT)
+    except UserError:
+        return problem, base
+    return quick, replace(base, residuals={**base.residuals, PLANT: left})
 
 
 def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:

@@ -157,9 +157,10 @@ class PlantBlock:
         """
         Return the block with a step of the simulation for each cycle of the encoders.
 
-        Half as many steps, and as good for what a cause changes, but for some percent of it at
-        frequencies near a fifth of those of the steps. What is left over itself is not as exact: a
-        residual is to be compared with others of the same block only.
+        Fewer steps by the encoders' divider of the tick, two of the machine of the thesis. What a cause
+        changes differs by less than 5 % of its RMS (test_plant_block: seven causes, one of which rings
+        at 75 Hz). What is left over itself is not as exact: a residual is to be compared with others of
+        the same block only.
         """
         timing = self.record.timing
         if timing.encoder_divider == 1 or timing.current_loop_hz % timing.encoder_divider:

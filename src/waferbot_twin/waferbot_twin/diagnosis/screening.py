@@ -28,6 +28,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import (
     Hypothesis,
     evaluate,
+    in_quick_steps,
     parameters_of,
     signature,
     whole_change,
@@ -126,11 +127,7 @@ def signatures(
 
     None for one with which the simulation blows up.
     """
-    quick = problem.quick()
-    try:
-        begun = evaluate(quick, base.causes)
-    except UserError:
-        quick, begun = problem, base
+    quick, begun = in_quick_steps(problem, base)
     chunks = [rivals[first : first + CHUNK] for first in range(0, len(rivals), CHUNK)]
     found: list[Change | None] = []
     pool = Parallel(n_jobs=workers, return_as='generator')

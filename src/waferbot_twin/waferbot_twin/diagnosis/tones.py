@@ -91,8 +91,10 @@ def lasting_tones(
     """Return by axis the frequency, Hz, that stands out most in all logs, for finding and judging."""
     own, others = _all_tones(finding, found), _all_tones(judging, judged)
     lasting: dict[str, float] = {}
+    if not (own and others):
+        return lasting
+    width_hz = max(_width_hz(finding, found), _width_hz(judging, judged))
     for tone, other in itertools.product(own, others):
-        width_hz = max(_width_hz(finding, found), _width_hz(judging, judged))
         near = abs(tone.frequency_hz - other.frequency_hz) < width_hz
         if near and tone.channel == other.channel:
             lasting.setdefault(AXIS_OF[tone.channel], tone.frequency_hz)
