@@ -15,13 +15,11 @@ from dataclasses import dataclass
 
 from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
 from waferbot_twin.diagnosis.following import axes_that_follow
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.nonparametric import tables
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.shortlist import PLAIN
 from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.effects.places import motor_axes, moves_with
@@ -147,8 +145,8 @@ def axes_that_differ(problem: Problem, judge: Problem, found: Search) -> dict[st
     for block in problem.exact_blocks:
         now, at_first = (
             [
-                _less_likely_by_axis(problem, block, in_finding),
-                _less_likely_by_axis(judge, block, in_judging),
+                logs.less_likely_than_nothing(block, hypothesis.residuals.get(block, []))
+                for logs, hypothesis in ((problem, in_finding), (judge, in_judging))
             ]
             for in_finding, in_judging in (
                 (found.found, found.judged),
@@ -165,13 +163,3 @@ def axes_that_differ(problem: Problem, judge: Problem, found: Search) -> dict[st
 
 def _total(by_axis: Sequence[Mapping[str, float]], axis: str) -> float:
     return sum(item.get(axis, 0.0) for item in by_axis)
-
-
-def _less_likely_by_axis(problem: Problem, block: str, hypothesis: Hypothesis) -> dict[str, float]:
-    """Return by axis how much less likely a block is than one with nothing left over, in 2 ln L."""
-    found: dict[str, float] = {}
-    if block in hypothesis.residuals:
-        values = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
-        for channel, value in zip(problem.channels(block), values, strict=True):
-            found[channel.axis] = found.get(channel.axis, 0.0) + value
-    return found

@@ -31,6 +31,9 @@ UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURREN
 ROUGH = 5.0
 """Floors below which a residual is as good as nothing, where the model is far from the machine."""
 
+PLAIN = 30.0
+"""Difference in 2 ln L from which on an exact block plainly does something else than its model."""
+
 ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
 """The sections of a description that the windings depend on: the motion is measured, by encoders."""
 
@@ -221,15 +224,15 @@ class Problem:
             if parts and not any(noise.order for noise in self.noises(block))
         ]
 
-    def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> list[float]:
-        """Return by how much, in 2 ln L, each channel is less likely than one with nothing left over."""
-        found = []
+    def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> dict[str, float]:
+        """Return by how much, in 2 ln L, each axis is less likely than one with nothing left over."""
+        found: dict[str, float] = {}
         for channel, residual in zip(self.channels(block), residuals, strict=True):
             there, none = (
                 likelihood([one], [channel.noise.alone()]).log_likelihood
                 for one in (residual, np.zeros_like(residual))
             )
-            found.append(2.0 * (none - there))
+            found[channel.axis] = found.get(channel.axis, 0.0) + 2.0 * (none - there)
         return found
 
     @property

@@ -50,7 +50,7 @@ from waferbot_twin.diagnosis.search_state import (
     Search,
     preferred,
 )
-from waferbot_twin.diagnosis.shortlist import fit_best, fit_last_bits, fit_pairs
+from waferbot_twin.diagnosis.shortlist import fit_best, fit_exact, fit_pairs
 from waferbot_twin.diagnosis.together import (
     Together,
     far,
@@ -127,7 +127,7 @@ def search(
         screened = _screen_round(finding, state.found, known, workers, progress)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress)
-        fitted += fit_last_bits(finding, judging, state, screened, fitted, progress)
+        fitted += fit_exact(finding, judging, state, screened, fitted, progress)
         fitted += fit_pairs(finding, judging, state, screened, fitted, progress)
         taken = _take_best(finding, judging, state, fitted)
         stands_in = not taken or _leaves_far(before, state.found)

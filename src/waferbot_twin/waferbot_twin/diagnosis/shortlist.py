@@ -3,7 +3,8 @@
 The best of what was screened, fitted through the simulation beside the causes found so far.
 
 A few of each round, each from where it promises most; then whatever promised as much as the best of
-these, for what is not fitted is no rival; and pairs in blocks that should leave nothing over, but do.
+these, for what is not fitted is no rival; in blocks that should leave nothing over, but do, whatever
+acts on these alone, and pairs of that.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from collections.abc import Sequence
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted, weighed
+from waferbot_twin.diagnosis.downhill import downhill
 from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
-from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
+from waferbot_twin.diagnosis.problem import PLAIN, Cause, Problem
 from waferbot_twin.diagnosis.resonances import may_ring, tuned
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import Progress, Screened
@@ -26,9 +28,6 @@ from waferbot_twin.diagnosis.together import far, price_of
 
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""
-
-PLAIN = 30.0
-"""Difference in 2 ln L from which on an exact block plainly does something else than its model."""
 
 PAIRED = 5
 """How many effects of an exact block are fitted in pairs."""
@@ -77,7 +76,7 @@ def _fit_one(finding: Problem, judging: Problem, state: Search, item: Screened) 
     """Return a screened effect fitted beside the causes of `state`; None if the machine blows up."""
     try:
         start = _start(finding, state.found, item)
-        found = fit_causes(finding, (*state.found.causes, start))
+        found = downhill(finding, fit_causes(finding, (*state.found.causes, start)))
         one = Fitted(found, evaluate(judging, found.causes))
     except UserError:
         return None
@@ -111,7 +110,7 @@ def _as_promising(
     return list(found.values())[:FITTED]
 
 
-def fit_last_bits(
+def fit_exact(
     finding: Problem,
     judging: Problem,
     state: Search,
@@ -120,31 +119,34 @@ def fit_last_bits(
     progress: Progress,
 ) -> list[Fitted]:
     """
-    Fit what changes nothing but a controller that plainly does something else, whatever it promised.
+    Fit what changes nothing but an exact block that plainly does something else, whatever it promised.
 
-    Only where nothing confirmed so far changes that: of single bits a linear estimate says little.
+    Only on axes on which nothing confirmed so far changes that: of single bits, and of a limit between
+    two rungs, what is screened says little.
     """
     best = _best_confirmed(state, singles)
+    new = best.causes[len(state.found.causes) :]
     done = {item.found.causes[-1].name for item in singles}
-    new = () if best is state.found else _touched(finding, best.causes[-1])
-    if CONTROLLER not in finding.exact_blocks or CONTROLLER in new:
-        return []
-    left = finding.less_likely_than_nothing(CONTROLLER, best.residuals[CONTROLLER])
-    every = zip(finding.channels(CONTROLLER), left, strict=True)
-    plain = {channel.axis for channel, value in every if value > PLAIN}
-    chosen = {
-        item.cause.name: item
-        for item in reversed(screened)
-        if item.cause.name not in done
-        and acts_on_bits_alone(finding, item.cause)
-        and item.cause.axis in plain
-    }
+    chosen: dict[str, Screened] = {}
+    for block in finding.exact_blocks:
+        changed = {cause.axis for cause in new if block in _touched(finding, cause)}
+        axes = _plain_axes(finding, block, best) - changed
+        for item in screened:
+            alone = _touched(finding, item.cause) == (block,)
+            if alone and item.cause.axis in axes and item.cause.name not in done:
+                chosen.setdefault(item.cause.name, item)
     found: list[Fitted] = []
     for number, item in enumerate(chosen.values()):
         progress(f'fitting {item.cause.name}', number, len(chosen))
         one = _fit_one(finding, judging, state, item)
         found += [one] if one else []
     return found
+
+
+def _plain_axes(problem: Problem, block: str, hypothesis: Hypothesis) -> set[str]:
+    """Return the axes on which an exact block plainly does something else than its model."""
+    left = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
+    return {axis for axis, value in left.items() if value > PLAIN}
 
 
 def _best_confirmed(state: Search, singles: Sequence[Fitted]) -> Hypothesis:
@@ -175,13 +177,11 @@ def fit_pairs(
     best = _best_confirmed(state, singles)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
-        left = finding.less_likely_than_nothing(block, best.residuals[block])
-        if max(left, default=0.0) < PLAIN:
-            continue
+        axes = _plain_axes(finding, block, best)
         chosen: dict[str, Screened] = {}
         for item in screened:
             alone = _touched(finding, item.cause) == (block,)
-            if item.score > 0.0 and alone and len(chosen) < PAIRED:
+            if alone and item.score > 0.0 and item.cause.axis in axes and len(chosen) < PAIRED:
                 chosen.setdefault(item.cause.name, item)
         pairs = [
             pair

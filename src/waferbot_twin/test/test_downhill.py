@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits that an exact block has: fitted where a fit by slopes stops beside the valley."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.downhill import downhill
+from waferbot_twin.diagnosis.fitting import fit_causes
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import AMPLIFIER, PLAIN, Cause, Problem
+from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.search_state import Search
+from waferbot_twin.diagnosis.shortlist import fit_exact
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import built, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+
+AXIS = 'x_rotate'
+
+
+@pytest.fixture(scope='module')
+def nominal():
+    return host(Variant.of(load_model('rigid')))
+
+
+def log_of(variant):
+    timing = Timing()
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, variant.name)
+    motion = load_experiment('step')
+    twin.commanded = commanded_positions(motion, twin.servo_parameters, timing.servo_hz)
+    return record_of_signals('log', twin.advance(timing.ticks(0.2)))
+
+
+@pytest.mark.slow
+def test_a_fold_back_is_found_where_a_fit_by_slopes_leaves_it(nominal):
+    seed = 20261122
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    effect = find('i2t_foldback')
+    free = log_of(nominal)
+    largest = np.abs(free.command[:, 1]).max()
+    left_by_slopes = 0
+    for _ in range(4):
+        continuous = largest * random.uniform(0.25, 0.4)
+        true = {'continuous': continuous, 'time': random.uniform(2e-3, 1e-2)}
+        record = log_of(effect.apply(nominal, AXIS, true))
+        problem = Problem(nominal, [record])
+
+        def left(hypothesis, problem=problem):
+            residuals = hypothesis.residuals[AMPLIFIER]
+            return problem.less_likely_than_nothing(AMPLIFIER, residuals)[AXIS]
+
+        start = {name: value * random.uniform(0.97, 1.03) for name, value in true.items()}
+        by_slopes = fit_causes(problem, (Cause(effect, AXIS, start),))
+        left_by_slopes += left(by_slopes) > PLAIN
+        found = downhill(problem, by_slopes)
+        assert left(found) < PLAIN
+        assert found.causes[0].values['continuous'] == pytest.approx(true['continuous'], rel=1e-5)
+        assert found.causes[0].values['time'] == pytest.approx(true['time'], rel=0.1)  # a tick's
+    assert left_by_slopes, 'none of these needed it'
+
+
+@pytest.mark.slow
+def test_a_limit_that_no_rung_promises_is_fitted_where_an_exact_block_leaves_some_over(nominal):
+    effect = find('i2t_foldback')
+    true = {'continuous': 9.3, 'time': 0.0043}
+    problem = Problem(nominal, [log_of(effect.apply(nominal, AXIS, true))])
+    nothing = evaluate(problem)
+    state = Search(nothing, nothing, nothing, nothing)
+    rung = Cause(effect, AXIS, {'continuous': 7.5, 'time': 0.005})
+    elsewhere = Cause(effect, 'y_linear', {'continuous': 7.5, 'time': 0.005})
+    screened = [Screened(cause, -5.0, np.zeros(2)) for cause in (elsewhere, rung)]
+    (fitted,) = fit_exact(problem, problem, state, screened, [], lambda *_: None)
+    found = fitted.found.causes[0]
+    assert found.axis == AXIS
+    assert found.values['continuous'] == pytest.approx(true['continuous'], rel=1e-5)
+    assert not fit_exact(problem, problem, state, screened, [fitted], lambda *_: None)
+
+
+@pytest.mark.slow
+def test_what_leaves_nothing_over_or_has_no_threshold_is_left_as_it_is(nominal):
+    problem = Problem(nominal, [log_of(nominal)])
+    for name in ('i2t_foldback', 'coulomb_friction'):
+        effect = find(name)
+        neutral = {p.name: p.neutral for p in effect.parameters(nominal, AXIS)}
+        fitted = fit_causes(problem, (Cause(effect, AXIS, neutral),), rounds=0)
+        assert downhill(problem, fitted) is fitted
