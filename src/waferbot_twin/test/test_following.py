@@ -31,19 +31,19 @@ def nominal():
     return host(Variant.of(load_model('rigid')))
 
 
-def logged(nominal, variant, random):
+def logged(nominal, variant, random, motion):
     timing = Timing()
     noisy = with_noise(variant, nominal, 1.0, random)
     twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
-        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+        load_experiment(motion), twin.servo_parameters, timing.servo_hz
     )
     return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.8)))])
 
 
-def axes_of(nominal, variant, seed):
+def axes_of(nominal, variant, seed, motion='step'):
     random = np.random.default_rng(seed)
-    problem, judge = (logged(nominal, variant, random) for _ in range(2))
+    problem, judge = (logged(nominal, variant, random, motion) for _ in range(2))
     found, judged = evaluate(problem), evaluate(judge)
     return axes_that_follow(problem, judge, Search(found, judged, found, judged))
 
@@ -67,6 +67,15 @@ def test_something_that_the_model_lacks_does_on_its_axis(nominal, name, values):
     print(f'seed {SEED}')
     machine = find(name).apply(nominal, 'y_linear', values)
     assert 'y_linear' in axes_of(nominal, machine, SEED)
+
+
+@pytest.mark.slow
+def test_a_motor_that_is_less_even_than_its_model_shows_in_harmonics_of_its_cycle(nominal):
+    print(f'seed {SEED}')
+    ripple = {'cosine': 0.0, 'sine': 0.004, 'order': 2.0}
+    machine = find('torque_ripple').apply(nominal, 'y_linear', ripple)
+    assert axes_of(nominal, machine, SEED, 'full_stroke_y_linear') == ['y_linear']
+    assert axes_of(nominal, nominal, SEED, 'full_stroke_y_linear') == []
 
 
 def test_without_a_noise_free_log_nothing_is_said():

@@ -5,15 +5,18 @@ Does what is left over follow the command? Then something is missing, whatever i
 Noise knows nothing of what was commanded, nor does the noise-free log of the model with the causes
 found (`closed_loop_record`). So what an axis leaves over is regressed on what the command makes that
 axis do there: position, speed, acceleration, currents, some of their products, and the change of each,
-with the noise coloured as it is. Of noise alone, twice the gain in ln L has a chi-squared distribution
-with as many degrees of freedom as there are regressors.
+with the noise coloured as it is; and, as another question, on harmonics of the motor's electrical cycle
+there, alone and times the speed: what a motor does that is not as even as its model shows in these. Of
+noise alone, twice the gain in ln L has a chi-squared distribution with as many degrees of freedom as
+there are regressors.
 
 Limit: what a coarse encoder rounds off goes with its position, and is no noise; it is not asked.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -26,6 +29,8 @@ from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, app
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.effects.places import motor_axes, motor_ratio
+from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.machine import POSITION_ENCODER
 
 CHANCE = 1e-8
@@ -42,6 +47,12 @@ BLOCKS = (PLANT, WINDINGS)
 
 STANDS_COUNTS_S = 200.0
 """Speed that is about none."""
+
+HARMONICS = (1, 2, 6)
+"""
+Of the electrical cycle: current sensors make the first and the second, unequal windings the second, the
+fifth and the seventh of the back-EMF the sixth.
+"""
 
 SMOOTHING_S = 0.005
 """Over which signals are averaged, so that counts do not look like speed."""
@@ -70,10 +81,12 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
         for name, axis in {item.name: item.axis for item in problem.channels(block)}.items():
             if axis in axes or (block == PLANT and name in coarse):
                 continue
-            each = [_gained(*one, block, name) for one in both]
-            regressors = sum(count for _, count in each)
-            if regressors and sum(gain for gain, _ in each) > chi2.isf(CHANCE, regressors):
-                axes.append(axis)
+            for regressors in (_signals, _harmonics):
+                each = [_gained(*one, block, name, regressors) for one in both]
+                count = sum(number for _, number in each)
+                if count and sum(gain for gain, _ in each) > chi2.isf(CHANCE, count):
+                    axes.append(axis)
+                    break
     return axes
 
 
@@ -95,16 +108,22 @@ def _gained(
     ideal: Mapping[int, Record],
     block: str,
     name: str,
+    regressors: Callable[[Motion], list[Array]],
 ) -> tuple[float, int]:
-    """Return what a channel gains in 2 ln L by the regressors, and how many of these there are."""
+    """Return what a channel gains in 2 ln L by regressors, and how many of these there are."""
     every = zip(problem.channels(block), hypothesis.residuals[block], strict=True)
     own = [(channel, residual) for channel, residual in every if channel.name == name]
     if not own:
         return 0.0, 0
     channels, left = zip(*own, strict=True)
-    matrices = [
-        _regressors(ideal[id(one.log.record)], one.log.times_s(name), one.axis) for one in channels
-    ]
+    matrices = []
+    for one in channels:
+        motion = _motion(problem.nominal, ideal[id(one.log.record)], one.axis)
+        columns = [
+            np.interp(one.log.times_s(name), motion.clock_s, column)
+            for column in regressors(motion)
+        ]
+        matrices.append(np.column_stack(columns))
     noises = [one.noise.alone() for one in channels]
     moves = np.any([np.any(matrix != 0.0, axis=0) for matrix in matrices], axis=0)
     with_them, without = (
@@ -114,42 +133,84 @@ def _gained(
     return 2.0 * (with_them - without), int(np.count_nonzero(moves))
 
 
-def _regressors(ideal: Record, times_s: Array, axis: str) -> Array:
-    """Return what the command makes an axis do, (samples, regressors), without any noise."""
-    timing = ideal.timing
-    place = AXES.index(axis)
-    encoder = ENCODERS.index(POSITION_ENCODER[axis])
-    rate_hz = timing.encoder_hz
+@dataclass(frozen=True)
+class Motion:
+    """
+    What the command makes an axis do, without any noise, at every reading of the encoders (n,).
+
+    Position (counts from the first), speed and acceleration, currents of lines 1 and 2 (A), and the
+    motor's electrical angle (rad).
+    """
+
+    rate_hz: float
+    position: Array
+    speed: Array
+    acceleration: Array
+    currents: tuple[Array, Array]
+    angle: Array
+
+    @property
+    def clock_s(self) -> Array:
+        """Times from the log's beginning."""
+        return np.asarray(np.arange(len(self.position)) / self.rate_hz)
+
+
+def _smooth(signal: Array, rate_hz: float) -> Array:
     width = max(3, round(SMOOTHING_S * rate_hz))
     kernel = np.hanning(width + 2)
-    kernel /= kernel.sum()
+    ends = np.pad(signal, width, mode='edge')
+    return np.asarray(np.convolve(ends, kernel / kernel.sum(), mode='same')[width:-width])
 
-    def smooth(signal: Array) -> Array:
-        ends = np.pad(signal, width, mode='edge')
-        return np.asarray(np.convolve(ends, kernel, mode='same')[width:-width])
 
-    def change(signal: Array) -> Array:
-        return smooth(np.gradient(signal) * rate_hz)
+def _change(signal: Array, rate_hz: float) -> Array:
+    return _smooth(np.gradient(signal) * rate_hz, rate_hz)
 
-    position = smooth(ideal.reading[:, encoder] - ideal.reading[0, encoder])
-    speed = change(position)
-    acceleration = change(speed)
+
+def _motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
+    """Return what an axis does in a log without noise."""
+    timing = ideal.timing
+    place, name = AXES.index(axis), POSITION_ENCODER[axis]
+    rate_hz = timing.encoder_hz
+    counts = ideal.reading[:, ENCODERS.index(name)]
+    position = _smooth(counts - counts[0], rate_hz)
+    speed = _change(position, rate_hz)
     currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
     currents = currents[: len(position)]  # the last tick may be without a reading
-    first, second = smooth(currents[:, 0]), smooth(currents[:, 1])
-    direction = np.tanh(speed / STANDS_COUNTS_S)
-    signals = [
+    gain = 0.0
+    if axis in motor_axes(nominal):
+        gain = nominal.description.motors[axis].electrical_gain * motor_ratio(nominal, axis)
+        gain /= nominal.description.encoders[name].counts_per_unit
+    return Motion(
+        rate_hz,
         position,
         speed,
-        acceleration,
+        _change(speed, rate_hz),
+        (_smooth(currents[:, 0], rate_hz), _smooth(currents[:, 1], rate_hz)),
+        gain * (counts[0] + position),
+    )
+
+
+def _signals(motion: Motion) -> list[Array]:
+    """Return signals of a motion and some of their products, and how each changes."""
+    first, second = motion.currents
+    speed = motion.speed
+    direction = np.tanh(speed / STANDS_COUNTS_S)
+    signals = [
+        motion.position,
+        speed,
+        motion.acceleration,
         first,
         second,
         direction,
         np.abs(direction),
         speed * np.abs(speed),
-        direction * position,
+        direction * motion.position,
         direction * np.hypot(first, second),
     ]
-    columns = [*signals, *(change(signal) for signal in signals)]
-    clock_s = np.arange(len(position)) / rate_hz
-    return np.column_stack([np.interp(times_s, clock_s, column) for column in columns])
+    return [*signals, *(_change(signal, motion.rate_hz) for signal in signals)]
+
+
+def _harmonics(motion: Motion) -> list[Array]:
+    """Return harmonics of the electrical cycle, from the first sample on, and these times the speed."""
+    waves = [wave(order * motion.angle) for order in HARMONICS for wave in (np.cos, np.sin)]
+    return [*(wave - wave[0] for wave in waves), *(wave * motion.speed for wave in waves)]
