@@ -14,6 +14,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import AMPLIFIER, PLAIN, Cause, Problem
 from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.shortlist import fit_exact
 from waferbot_twin.effects import find
@@ -38,6 +39,10 @@ def log_of(variant):
     return record_of_signals('log', twin.advance(timing.ticks(0.2)))
 
 
+def left(problem, hypothesis):
+    return problem.less_likely_than_nothing(AMPLIFIER, hypothesis.residuals[AMPLIFIER])[AXIS]
+
+
 @pytest.mark.slow
 def test_a_fold_back_is_found_where_a_fit_by_slopes_leaves_it(nominal):
     seed = 20261122
@@ -53,15 +58,11 @@ def test_a_fold_back_is_found_where_a_fit_by_slopes_leaves_it(nominal):
         record = log_of(effect.apply(nominal, AXIS, true))
         problem = Problem(nominal, [record])
 
-        def left(hypothesis, problem=problem):
-            residuals = hypothesis.residuals[AMPLIFIER]
-            return problem.less_likely_than_nothing(AMPLIFIER, residuals)[AXIS]
-
         start = {name: value * random.uniform(0.97, 1.03) for name, value in true.items()}
         by_slopes = fit_causes(problem, (Cause(effect, AXIS, start),))
-        left_by_slopes += left(by_slopes) > PLAIN
+        left_by_slopes += left(problem, by_slopes) > PLAIN
         found = downhill(problem, by_slopes)
-        assert left(found) < PLAIN
+        assert left(problem, found) < PLAIN
         assert found.causes[0].values['continuous'] == pytest.approx(true['continuous'], rel=1e-5)
         assert found.causes[0].values['time'] == pytest.approx(true['time'], rel=0.1)  # a tick's
     assert left_by_slopes, 'none of these needed it'
@@ -82,6 +83,25 @@ def test_a_limit_that_no_rung_promises_is_fitted_where_an_exact_block_leaves_som
     assert found.axis == AXIS
     assert found.values['continuous'] == pytest.approx(true['continuous'], rel=1e-5)
     assert not fit_exact(problem, problem, state, screened, [fitted], lambda *_: None)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('time', [0.0061, 1.0])
+def test_a_cause_whose_values_leave_some_over_in_other_logs_is_looked_for_there_anew(
+    nominal, time
+):
+    effect = find('i2t_foldback')
+    true = {'continuous': 10.3, 'time': 0.006}
+    problem = Problem(nominal, [log_of(effect.apply(nominal, AXIS, true))])
+    known = evaluate(problem, (Cause(effect, AXIS, {**true, 'time': time}),))
+    nothing = evaluate(problem)
+    state = Search(known, known, nothing, nothing)
+    assert (left(problem, known) < PLAIN) == (time < 0.01)
+    found = search(problem, problem, [effect], lambda *_: None, 1, state).found
+    assert [cause.name for cause in found.causes] == [f'i2t_foldback:{AXIS}']
+    assert (
+        left(problem, found) < PLAIN
+    )  # half of the level from the first tick on does the same here
 
 
 @pytest.mark.slow

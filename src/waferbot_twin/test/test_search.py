@@ -12,6 +12,7 @@ import pytest
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
+from waferbot_twin.diagnosis.diagnose import _shows_more
 from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause
@@ -186,3 +187,19 @@ def test_what_stood_in_for_the_usual_is_not_kept_beside_it(monkeypatch):
     search._take_together(finding, finding, state, [], lambda *told: None, 1)
     assert tried == [bias, friction]
     assert state.found is found
+
+
+def test_logs_that_tell_more_of_what_was_found_find_it():
+    def found(causes, in_finding, in_judging):
+        return SimpleNamespace(
+            found=SimpleNamespace(
+                causes=(None,) * causes, parameters=causes, samples=500, log_likelihood=in_finding
+            ),
+            judged=SimpleNamespace(samples=500, log_likelihood=in_judging),
+        )
+
+    first = found(1, 100.0, 90.0)
+    assert _shows_more(found(1, 101.0, 96.0), first)  # 14 more in 2 ln L
+    assert not _shows_more(found(1, 98.0, 94.0), first)
+    assert _shows_more(found(2, 100.0, 92.0), first)
+    assert not _shows_more(found(0, 100.0, 90.0), first)

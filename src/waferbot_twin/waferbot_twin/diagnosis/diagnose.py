@@ -143,8 +143,9 @@ def diagnose(
     Diagnose logs against a model.
 
     What is not found in the logs for finding may show in the others: these change roles, and if more
-    is found so, all is fitted to them. So they do if what was found does not win: a belt may slip only
-    there. Either way nothing is fitted to the logs that judge, and the gain is measured on those.
+    is found so, or what was found explains all logs plainly better with values from there, it is fitted
+    to them. So they do if what was found does not win: a belt may slip only there. Either way nothing is
+    fitted to the logs that judge, and the gain is measured on those.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -164,7 +165,7 @@ def diagnose(
     found = search(problem, judge, effects, progress, workers)
     if not found.far_off:
         other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
-        if len(other.found.causes) > len(found.found.causes):
+        if _shows_more(other, found):
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
     if not found.far_off:
@@ -233,6 +234,17 @@ def _search_in_other_roles(
         return search(judge, problem, effects, progress, workers, found)
     except UserError:
         return found
+
+
+def _shows_more(other: Search, found: Search) -> bool:
+    """Return whether a search in other roles found more, or values that explain all logs better."""
+
+    def unlikely(item: Search) -> float:
+        price = item.found.parameters * math.log(item.found.samples + item.judged.samples)
+        return price - 2.0 * (item.found.log_likelihood + item.judged.log_likelihood)
+
+    more = len(other.found.causes) > len(found.found.causes)
+    return more or unlikely(found) - unlikely(other) > TELLS_APART
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:

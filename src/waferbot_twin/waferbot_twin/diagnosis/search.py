@@ -50,7 +50,7 @@ from waferbot_twin.diagnosis.search_state import (
     Search,
     preferred,
 )
-from waferbot_twin.diagnosis.shortlist import fit_best, fit_exact, fit_pairs
+from waferbot_twin.diagnosis.shortlist import fit_best, fit_exact, fit_pairs, plain_axes
 from waferbot_twin.diagnosis.together import (
     Together,
     far,
@@ -104,7 +104,9 @@ def search(
     """
     Find the causes in the logs of `finding` that also explain those of `judging`.
 
-    Beside those that another search has found, if there is one: they are fitted anew to these logs.
+    Beside those that another search has found, if there is one: they are fitted anew to these logs. Of
+    those in an exact block that still leave some over, the others showed too little: they are looked for
+    anew, too.
     """
     effects = list(effects)
     every = candidates(finding, effects)
@@ -112,6 +114,9 @@ def search(
     state = Search(nothing, judged_nothing, nothing, judged_nothing)
     if known_causes:
         state.found = fit_causes(finding, known_causes.found.causes, workers=workers)
+        causes = _that_suit(finding, state.found)
+        if causes != state.found.causes:
+            state.found = fit_causes(finding, causes, workers=workers)
         state.judged = evaluate(judging, state.found.causes)
         state.gains, state.rivals = dict(known_causes.gains), dict(known_causes.rivals)
         state.feigned = set(known_causes.feigned)
@@ -147,6 +152,19 @@ def search(
     _revise(finding, judging, state, known, workers, progress)
     state.far_off = far(state.found)
     return state
+
+
+def _that_suit(problem: Problem, found: Hypothesis) -> tuple[Cause, ...]:
+    """Return the causes without those that act on an exact block alone and leave some over there."""
+    plain = {block: plain_axes(problem, block, found) for block in problem.exact_blocks}
+    return tuple(
+        cause
+        for cause in found.causes
+        if not any(
+            problem.touched(cause.effect, cause.axis) == (block,) and cause.axis in axes
+            for block, axes in plain.items()
+        )
+    )
 
 
 def _leaves_far(before: Hypothesis, found: Hypothesis) -> bool:

@@ -121,20 +121,26 @@ def fit_exact(
     """
     Fit what changes nothing but an exact block that plainly does something else, whatever it promised.
 
-    Only on axes on which nothing confirmed so far changes that: of single bits, and of a limit between
-    two rungs, what is screened says little.
+    Of single bits, and of a limit between two rungs, what is screened says little. Only on axes where
+    that is so with the best of `singles`, too; if this acts there, limits alone, from all their shapes:
+    one that acts at once may stand in for one that acts after a time.
     """
     best = _best_confirmed(state, singles)
     new = best.causes[len(state.found.causes) :]
     done = {item.found.causes[-1].name for item in singles}
-    chosen: dict[str, Screened] = {}
+    chosen: dict[tuple[str, ...], Screened] = {}
     for block in finding.exact_blocks:
         changed = {cause.axis for cause in new if block in _touched(finding, cause)}
-        axes = _plain_axes(finding, block, best) - changed
+        axes = plain_axes(finding, block, best)
         for item in screened:
-            alone = _touched(finding, item.cause) == (block,)
-            if alone and item.cause.axis in axes and item.cause.name not in done:
-                chosen.setdefault(item.cause.name, item)
+            cause = item.cause
+            if _touched(finding, cause) != (block,) or cause.axis not in axes:
+                continue
+            if cause.effect.threshold:
+                shape = _shape(finding, cause)
+                chosen.setdefault((cause.name, *(f'{shape[key]}' for key in shape)), item)
+            elif cause.axis not in changed and cause.name not in done:
+                chosen.setdefault((cause.name,), item)
     found: list[Fitted] = []
     for number, item in enumerate(chosen.values()):
         progress(f'fitting {item.cause.name}', number, len(chosen))
@@ -143,7 +149,7 @@ def fit_exact(
     return found
 
 
-def _plain_axes(problem: Problem, block: str, hypothesis: Hypothesis) -> set[str]:
+def plain_axes(problem: Problem, block: str, hypothesis: Hypothesis) -> set[str]:
     """Return the axes on which an exact block plainly does something else than its model."""
     left = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
     return {axis for axis, value in left.items() if value > PLAIN}
@@ -177,7 +183,7 @@ def fit_pairs(
     best = _best_confirmed(state, singles)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
-        axes = _plain_axes(finding, block, best)
+        axes = plain_axes(finding, block, best)
         chosen: dict[str, Screened] = {}
         for item in screened:
             alone = _touched(finding, item.cause) == (block,)
