@@ -312,11 +312,12 @@ def _inseparable(
     """
     Return whether the true causes explain no log better than the reported ones, by simulation.
 
-    The true causes have values fitted to the logs for finding, as those reported have.
+    The true causes have values fitted to the same logs as those reported have.
     """
     if not hidden or not report['causes']:
         return False
-    true_ones = fit_causes(Problem(nominal(model), finding), tuple(hidden)).causes
+    fitted = judging if _judged_by(report, finding, judging) is finding else finding
+    true_ones = fit_causes(Problem(nominal(model), fitted), tuple(hidden)).causes
     reported = tuple(
         Cause(
             find(cause['effect']),
