@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis import search, shortlist
+from waferbot_twin.diagnosis import fitting, search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.diagnose import _shows_more
 from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
@@ -203,3 +203,27 @@ def test_logs_that_tell_more_of_what_was_found_find_it():
     assert not _shows_more(found(1, 98.0, 94.0), first)
     assert _shows_more(found(2, 100.0, 92.0), first)
     assert not _shows_more(found(0, 100.0, 90.0), first)
+
+
+@pytest.mark.parametrize(('promises', 'better'), [(17.0, True), (1.0, False)])
+def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, promises, better):
+    """What the curve of a motor does in proportion to a tenth of it says ten times too much."""
+    effect = find('motor_saturation')
+    variant = Variant.of(load_model('rigid'))
+    cause = Cause(effect, 'y_rotate', {'curvature': 0.0})
+    (parameter,) = effect.parameters(variant, 'y_rotate')
+    true = 1e-3 * parameter.typical
+
+    def simulated(problem, causes):
+        error = causes[0].values['curvature'] / true - 1.0
+        return SimpleNamespace(causes=causes, log_likelihood=-100.0 * error**2)
+
+    monkeypatch.setattr(fitting, 'evaluate', simulated)
+    value = np.array([20.0 * true])
+    matrix = np.array([[promises / value[0]]])
+    linear = fitting.Linear(value, np.eye(1), matrix, matrix @ value)
+    now = simulated(None, (cause,))
+    tried, _ = fitting._step(None, now, [(0, parameter)], linear, fitting.REACH)
+    assert (tried is not None) == better
+    if better:
+        assert tried.log_likelihood > now.log_likelihood

@@ -47,6 +47,9 @@ ENOUGH = 0.02
 REACH, SHORTEST = 100.0, 0.01
 """First and shortest reach of a step, in widths of each parameter."""
 
+PROMISES = 10.0
+"""Gain in 2 ln L that a step promises from which on ever smaller shares of it are tried."""
+
 USUAL = 1.0
 """Standard deviation of a parameter of a usual effect, in its typical size."""
 
@@ -140,8 +143,17 @@ def _step(
     reach: float,
     usual: float = 0.0,
 ) -> tuple[Hypothesis | None, float]:
-    """Return the first better hypothesis within ever shorter reaches, or None, and the next reach."""
-    while reach >= SHORTEST:
+    """
+    Return the first better hypothesis within ever shorter reaches, or None, and the next reach.
+
+    Where the whole step promises much, and is short itself, reaches are shorter still: what little there
+    is of a cause may do much, and far from in proportion.
+    """
+    shortest = SHORTEST
+    if float(np.sum((linear.matrix @ linear.value) ** 2)) > PROMISES:
+        whole = float(np.max(np.abs(linear.value) / _widths(now.causes, names), initial=0.0))
+        shortest *= min(1.0, whole)
+    while reach >= shortest:
         change = _bounded(now.causes, names, linear, reach)
         try:
             tried = evaluate(problem, moved(now.causes, names, change))
