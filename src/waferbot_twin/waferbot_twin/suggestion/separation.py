@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -142,14 +142,18 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
     ideal = machine.run((true,), experiment, noisy=False)
     shaken = evaluate(Problem(machine.variant, [machine.record(noisy)]), (true,))
     problem = Problem(machine.variant, [machine.record(ideal)])
-    blocks = tuple(shaken.fits)
+    both = {block for one in (true, rival) for block in problem.touched(one.effect, one.axis)}
+    blocks = [block for block in shaken.fits if block in both]
+    if not blocks:
+        return Separation(0.0, rival, shaken.samples, load(machine.variant, ideal))
 
     def left(cause: Cause) -> Channels:
         variant = apply_all(machine.variant, (cause,))
         return {block: problem.residuals(variant, block) for block in blocks}
 
     own = left(true)
-    judged = shaken.fits
+    noise_alone = {block: shaken.fits[block] for block in blocks}
+    judged = noise_alone
     for _ in range(ROUNDS):
         difference = partial(_difference, judged, left, own)
         rival = _closest(difference, rival, problem)
@@ -165,8 +169,9 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
                 for block in blocks
             }
         )
-    likely = sum(fit.log_likelihood for fit in judged.values())
-    evidence = 2.0 * (shaken.log_likelihood - likely)
+    evidence = 2.0 * sum(
+        noise_alone[block].log_likelihood - judged[block].log_likelihood for block in blocks
+    )
     return Separation(max(evidence, 0.0), rival, shaken.samples, load(machine.variant, ideal))
 
 
@@ -215,8 +220,12 @@ def _closest(difference: Callable[[Cause], Array], rival: Cause, problem: Proble
     start = np.array([rival.values[item.name] for item in parameters]) / scales
     steps = np.maximum(STEP, np.array([item.resolution for item in parameters]) / scales)
 
+    @lru_cache(maxsize=2)  # a fit asks for its values, and for derivatives there
+    def simulated(values: tuple[float, ...]) -> Array:
+        return difference(_at(rival, parameters, np.array(values)))
+
     def residual(scaled: Array) -> Array:
-        return difference(_at(rival, parameters, scaled))
+        return simulated(tuple(scaled))
 
     def derivative(scaled: Array) -> Array:
         here = residual(scaled)
