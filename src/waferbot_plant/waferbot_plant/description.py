@@ -445,9 +445,8 @@ def check(document: Document, damping: str = 'improved') -> Description:
         try:
             data[name], origins = _unwrapped(name, pickle.dumps(section), damping)
         except UserError:
-            _unwrap(
-                document, section, (name,), damping, {}
-            )  # says it with the place in this document
+            # said again, with the place in this document
+            _unwrap(document, section, (name,), damping, {})
             raise
         provenance |= origins
     _check_grammar(document, data)

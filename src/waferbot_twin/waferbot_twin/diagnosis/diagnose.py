@@ -237,7 +237,11 @@ def _search_in_other_roles(
 
 
 def _shows_more(other: Search, found: Search) -> bool:
-    """Return whether a search in other roles found more, or values that explain all logs better."""
+    """
+    Return whether a search in other roles found more, or values that explain all logs better.
+
+    By Schwarz' criterion with the samples of all logs: those for finding are others now.
+    """
 
     def unlikely(item: Search) -> float:
         price = item.found.parameters * math.log(item.found.samples + item.judged.samples)

@@ -73,8 +73,13 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
             ideal = None
         if ideal is None:
             return []
-        pairs = zip(logs.records, ideal.records, strict=True)
-        both.append((logs, hypothesis, {id(one): other for one, other in pairs}))
+        shown = {channel.axis for block in BLOCKS for channel in logs.channels(block)}
+        motions = {
+            (id(one), axis): _motion(logs.nominal, other, axis)
+            for one, other in zip(logs.records, ideal.records, strict=True)
+            for axis in sorted(shown)
+        }
+        both.append((logs, hypothesis, motions))
     coarse = _coarse_encoders(problem, found.found.causes)
     axes: list[str] = []
     for block in BLOCKS:
@@ -105,7 +110,7 @@ def _coarse_encoders(problem: Problem, causes: Sequence[Cause]) -> set[str]:
 def _gained(
     problem: Problem,
     hypothesis: Hypothesis,
-    ideal: Mapping[int, Record],
+    motions: Mapping[tuple[int, str], Motion],
     block: str,
     name: str,
     regressors: Callable[[Motion], list[Array]],
@@ -118,7 +123,7 @@ def _gained(
     channels, left = zip(*own, strict=True)
     matrices = []
     for one in channels:
-        motion = _motion(problem.nominal, ideal[id(one.log.record)], one.axis)
+        motion = motions[id(one.log.record), one.axis]
         columns = [
             np.interp(one.log.times_s(name), motion.clock_s, column)
             for column in regressors(motion)

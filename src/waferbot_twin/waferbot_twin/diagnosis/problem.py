@@ -235,6 +235,11 @@ class Problem:
             found[channel.axis] = found.get(channel.axis, 0.0) + 2.0 * (none - there)
         return found
 
+    def plain_axes(self, block: str, residuals: Sequence[Array]) -> set[str]:
+        """Return the axes on which an exact block plainly does something else than its model."""
+        left = self.less_likely_than_nothing(block, residuals)
+        return {axis for axis, value in left.items() if value > PLAIN}
+
     @property
     def plant_rates_hz(self) -> list[float]:
         """The rate of the plant's residual in every channel, log by log."""

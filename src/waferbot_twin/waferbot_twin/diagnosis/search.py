@@ -50,7 +50,7 @@ from waferbot_twin.diagnosis.search_state import (
     Search,
     preferred,
 )
-from waferbot_twin.diagnosis.shortlist import fit_best, fit_exact, fit_pairs, plain_axes
+from waferbot_twin.diagnosis.shortlist import fit_best, fit_exact, fit_pairs
 from waferbot_twin.diagnosis.together import (
     Together,
     far,
@@ -156,7 +156,9 @@ def search(
 
 def _that_suit(problem: Problem, found: Hypothesis) -> tuple[Cause, ...]:
     """Return the causes without those that act on an exact block alone and leave some over there."""
-    plain = {block: plain_axes(problem, block, found) for block in problem.exact_blocks}
+    plain = {
+        block: problem.plain_axes(block, found.residuals[block]) for block in problem.exact_blocks
+    }
     return tuple(
         cause
         for cause in found.causes

@@ -19,7 +19,7 @@ from waferbot_twin.diagnosis.downhill import downhill
 from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
-from waferbot_twin.diagnosis.problem import PLAIN, Cause, Problem
+from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.resonances import may_ring, tuned
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import Progress, Screened
@@ -128,31 +128,25 @@ def fit_exact(
     best = _best_confirmed(state, singles)
     new = best.causes[len(state.found.causes) :]
     done = {item.found.causes[-1].name for item in singles}
-    chosen: dict[tuple[str, ...], Screened] = {}
+    chosen: dict[tuple[str, tuple[float, ...]], Screened] = {}
     for block in finding.exact_blocks:
         changed = {cause.axis for cause in new if block in _touched(finding, cause)}
-        axes = plain_axes(finding, block, best)
+        axes = finding.plain_axes(block, best.residuals[block])
         for item in screened:
             cause = item.cause
             if _touched(finding, cause) != (block,) or cause.axis not in axes:
                 continue
             if cause.effect.threshold:
-                shape = _shape(finding, cause)
-                chosen.setdefault((cause.name, *(f'{shape[key]}' for key in shape)), item)
+                shape = tuple(_shape(finding, cause).values())
+                chosen.setdefault((cause.name, shape), item)
             elif cause.axis not in changed and cause.name not in done:
-                chosen.setdefault((cause.name,), item)
+                chosen.setdefault((cause.name, ()), item)
     found: list[Fitted] = []
     for number, item in enumerate(chosen.values()):
         progress(f'fitting {item.cause.name}', number, len(chosen))
         one = _fit_one(finding, judging, state, item)
         found += [one] if one else []
     return found
-
-
-def plain_axes(problem: Problem, block: str, hypothesis: Hypothesis) -> set[str]:
-    """Return the axes on which an exact block plainly does something else than its model."""
-    left = problem.less_likely_than_nothing(block, hypothesis.residuals[block])
-    return {axis for axis, value in left.items() if value > PLAIN}
 
 
 def _best_confirmed(state: Search, singles: Sequence[Fitted]) -> Hypothesis:
@@ -183,7 +177,7 @@ def fit_pairs(
     best = _best_confirmed(state, singles)
     found: list[Fitted] = []
     for block in finding.exact_blocks:
-        axes = plain_axes(finding, block, best)
+        axes = finding.plain_axes(block, best.residuals[block])
         chosen: dict[str, Screened] = {}
         for item in screened:
             alone = _touched(finding, item.cause) == (block,)
