@@ -3,6 +3,7 @@
 
 import json
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from waferbot_twin.models import load_model
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, strokes
 from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
 from waferbot_twin.suggestion.rivals import named, of_report, read_report
-from waferbot_twin.suggestion.separation import Load, Machine, Separation, separation
+from waferbot_twin.suggestion.separation import Load, Machine, Separation, separations
 from waferbot_twin.suggestion.suggest import Rated, Suggestion, suggest
 
 TIMING = Timing()
@@ -77,19 +78,23 @@ def test_an_experiment_of_the_library_has_no_other_sizes():
 # What is said
 
 
-def rated(label, *evidence, impossible=''):
-    separations = tuple(
-        Separation(value, None, 2000, Load(0.5, 0.3, 'x_rotate')) for value in evidence
-    )
+NAMES = ('coulomb_friction', 'viscous_friction', 'stribeck_friction')
+
+
+def rated(label, *evidence, impossible='', names=NAMES[:2]):
+    """A candidate with evidence for ordered pairs, in order; None where it was given up."""
+    pairs = permutations([f'{name}:x_rotate' for name in names], 2)
+    separations = {
+        pair: Separation(value, None, 2000, Load(0.5, 0.3, 'x_rotate'))
+        for pair, value in zip(pairs, evidence, strict=False)
+        if value is not None
+    }
     return Rated(Candidate(label, load_experiment('step')), separations, impossible)
 
 
-def suggestion(rigid, *items, instead=()):
-    pair = (
-        cause(rigid, 'coulomb_friction', 'x_rotate'),
-        cause(rigid, 'viscous_friction', 'x_rotate'),
-    )
-    return Suggestion(pair, items, instead)
+def suggestion(rigid, *items, instead=(), names=NAMES[:2]):
+    causes = tuple(cause(rigid, name, 'x_rotate') for name in names)
+    return Suggestion(causes, items, instead)
 
 
 def test_the_best_is_the_one_whose_smaller_evidence_is_largest(rigid, tmp_path):
@@ -98,7 +103,7 @@ def test_the_best_is_the_one_whose_smaller_evidence_is_largest(rigid, tmp_path):
     assert found.best is both
     assert 'both tells' in sentence(found)
     assert [row[0] for row in table_rows(found)] == ['both', 'one-sided']
-    assert both.detectable == pytest.approx(math.sqrt(90.0 / math.log(2000)))
+    assert both.detectable(found.told) == pytest.approx(math.sqrt(90.0 / math.log(2000)))
     write(found, tmp_path)
     assert load_experiment(tmp_path / 'experiment.yaml').name == 'step'
     report = json.loads((tmp_path / 'report.json').read_text('utf-8'))
@@ -107,19 +112,47 @@ def test_the_best_is_the_one_whose_smaller_evidence_is_largest(rigid, tmp_path):
 
 def test_a_special_case_and_an_equivalent_pair_are_told_from_one_another(rigid):
     nested = suggestion(rigid, rated('a', 0.1, 5000.0), rated('b', 0.0, 3.0))
-    assert nested.best is None
-    assert [item.effect.name for item in nested.special_case] == [
-        'coulomb_friction',
-        'viscous_friction',
-    ]
-    assert 'take the simpler one' in sentence(nested)
+    assert nested.best is nested.rated[0]
+    assert nested.imitated == (('coulomb_friction:x_rotate', 'viscous_friction:x_rotate'),)
+    assert 'a tells whatever can be told apart' in sentence(nested)
+    assert 'viscous_friction:x_rotate can do whatever coulomb_friction:x_rotate does' in sentence(
+        nested
+    )
     same = suggestion(rigid, rated('a', 0.1, 5.0), rated('b', 0.0, 3.0))
-    assert same.special_case is None
+    assert same.told == ()
     assert 'equivalent for every motion' in sentence(same)
     assert 'scales' in sentence(same)
     other = suggestion(rigid, rated('a', 0.1, 5.0), instead=('log voltages as well',))
     assert 'Instead, log voltages' in sentence(other)
     assert as_dict(same)['best'] is None
+
+
+def test_a_group_of_three_with_a_special_case_and_two_that_are_equivalent(rigid):
+    """Coulomb in Stribeck friction; viscous and Coulomb friction the same."""
+    nobody_tells = (0.1, 0.2, 0.3, 25.0, 30.0, 40.0)
+    given_up = (0.1, 0.2, 0.3, 2.0, None, None)
+    found = suggestion(
+        rigid, rated('a', *nobody_tells, names=NAMES), rated('b', *given_up, names=NAMES),
+        names=NAMES,
+    )  # fmt: skip
+    assert found.best is found.rated[0]
+    assert len(found.told) == 3
+    said = sentence(found)
+    assert 'a tells whatever can be told apart of' in said
+    assert '2 ln L = 25' in said
+    assert said.count('are equivalent for every motion') == 1
+    assert 'stribeck_friction:x_rotate can do whatever coulomb_friction:x_rotate does' in said
+    rows = as_dict(found)['experiments']
+    assert [row['given_up'] for row in rows] == [False, True]
+    assert ['coulomb_friction:x_rotate', 'viscous_friction:x_rotate'] in as_dict(found)['imitated']
+
+
+def test_where_no_experiment_tells_all_apart_the_best_of_each_pair_is_named(rigid):
+    found = suggestion(rigid, rated('a', 50.0, 1.0), rated('b', 2.0, 70.0))
+    assert found.best is None
+    assert 'No experiment tells all' in sentence(found)
+    assert 'a tells coulomb_friction:x_rotate from viscous_friction:x_rotate' in sentence(found)
+    assert 'b tells viscous_friction:x_rotate from coulomb_friction:x_rotate' in sentence(found)
 
 
 def test_rivals_by_name_and_from_a_report(rigid, tmp_path):
@@ -175,15 +208,15 @@ def test_force_constant_and_inertia_without_other_forces_are_equivalent(rigid):
         'kind: step, amplitude_rad: 3.0e-3',
         'kind: swept_sine, first_frequency_hz: 2, last_frequency_hz: 40, amplitude_rad: 1.0e-3',
     ):
-        found = separation(mechanism, weak, heavy, short('y_rotate', motion))
+        [found] = separations(mechanism, weak, [heavy], short('y_rotate', motion))
         assert found.evidence < 1.0
         assert found.refitted.values['inertia'] == pytest.approx(whole / 0.95 - whole, rel=0.02)
     # The windings know the back-EMF, and a constant force looks otherwise.
     logged = Machine(rigid, 1.0, 3, TIMING)
     fast = short('y_rotate', 'kind: step, amplitude_rad: 6.0e-3')
-    assert separation(logged, weak, heavy, fast).evidence > 10.0
+    assert separations(logged, weak, [heavy], fast)[0].evidence > 10.0
     pushed = cause(rigid, 'constant_force', 'y_rotate')
-    assert separation(mechanism, weak, pushed, fast).evidence > 100.0
+    assert separations(mechanism, weak, [pushed], fast)[0].evidence > 100.0
 
 
 @pytest.mark.slow
@@ -194,7 +227,7 @@ def test_what_is_expected_is_what_a_noisy_log_then_gives(rigid):
     motion = short('x_rotate', 'kind: step, amplitude_counts: 600')
     for seed in (40, 41, 42):
         machine = Machine(rigid, 1.0, seed, TIMING)
-        expected = separation(machine, viscous, coulomb, motion).evidence
+        expected = separations(machine, viscous, [coulomb], motion)[0].evidence
         log = machine.record(machine.run((viscous,), motion, noisy=True))
         problem = Problem(rigid, [log])
         own, rival = (fit_causes(problem, (one,)) for one in (viscous, coulomb))
@@ -229,7 +262,8 @@ def test_a_pair_that_a_small_step_leaves_open_is_told_apart_by_what_is_suggested
     )
     assert found.best is not None
     assert found.best.candidate is large
-    assert found.rated[1].evidence < TELLS_APART
+    assert found.rated[1].evidence(found.told) < TELLS_APART
+    assert len(found.rated[1].separations) == 1  # it was not asked the other way round
     machine = Machine(rigid, 1.0, seed + 1, TIMING)
     for candidate, told in ((small, False), (large, True)):
         log = machine.record(machine.run((viscous,), candidate.experiment, noisy=True))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,32 +17,60 @@ SCHEMA = 1
 
 def sentence(found: Suggestion) -> str:
     """Return what to do, in one or a few sentences."""
-    names = ' and '.join(cause.name for cause in found.causes)
-    best = found.best
-    if best is not None:
-        return (
-            f'{best.candidate.label} tells {names} apart best: 2 ln L = {best.evidence:.0f} is '
-            f'expected, {TELLS_APART:.0f} is needed.'
+    if not found.told:
+        return _equivalent(found)
+    said = []
+    names = [cause.name for cause in found.causes]
+    counted = f'2 ln L = {{:.0f}} is expected, {TELLS_APART:.0f} is needed'
+    if found.best is None:
+        said += [
+            f'No experiment tells all of {_enumerated(names)} apart.',
+            *(
+                f'{found.best_for(pair).candidate.label} tells {pair[0]} from {pair[1]} best: '
+                f'{counted.format(found.best_for(pair).evidence((pair,)))}.'
+                for pair in found.told
+            ),
+        ]
+    else:
+        what = 'whatever can be told apart of ' if found.imitated else ''
+        apart = '' if found.imitated else ' apart'
+        said.append(
+            f'{found.best.candidate.label} tells {what}{_enumerated(names)}{apart} best: '
+            f'{counted.format(found.best.evidence(found.told))}.'
         )
-    if found.special_case is not None:
-        special, general = found.special_case
-        return (
-            f'{general.name} can do whatever {special.name} does. No experiment shows that '
-            f'{special.name} is the cause; one that would show {general.name} is '
-            f'{_best_case(found).candidate.label}. If that shows nothing, take the simpler one.'
-        )
+    for special in dict.fromkeys(pair[0] for pair in found.imitated):
+        generals = [pair[1] for pair in found.imitated if pair[0] == special]
+        same = [name for name in generals if (name, special) in found.imitated]
+        more = [name for name in generals if name not in same]
+        if more:
+            said.append(
+                f'{_enumerated(more)} can do whatever {special} does: no experiment shows that '
+                f'{special} is the cause. If nothing else shows, take it as the simpler one.'
+            )
+        said += [
+            f'{special} and {name} are equivalent for every motion that was tried.'
+            for name in same
+            if special < name
+        ]
+    return ' '.join([*said, *_instead(found)])
+
+
+def _equivalent(found: Suggestion) -> str:
     text = (
-        f'{names} are equivalent for every motion that was tried: {len(found.rated)} experiments.'
+        f'{_enumerated([cause.name for cause in found.causes])} are equivalent for every motion '
+        f'that was tried: {len(found.rated)} experiments.'
     )
     if found.instead:
-        return text + ''.join(f' Or {line}.' if place else f' Instead, {line}.'
-                              for place, line in enumerate(found.instead))  # fmt: skip
-    return text + ' Measure one of them by itself: a mass on scales, a force with a load cell.'
+        return ' '.join([text, *_instead(found)])
+    return f'{text} Measure one of them by itself: a mass on scales, a force with a load cell.'
 
 
-def _best_case(found: Suggestion) -> Rated:
-    possible = [item for item in found.rated if not item.impossible]
-    return max(possible, key=lambda item: item.best_case)
+def _instead(found: Suggestion) -> list[str]:
+    return [f'{"Or" if place else "Instead,"} {line}.' for place, line in enumerate(found.instead)]
+
+
+def _enumerated(names: Sequence[str]) -> str:
+    return ' and '.join([*filter(None, [', '.join(names[:-1])]), names[-1]])
 
 
 def as_dict(found: Suggestion) -> dict[str, Any]:
@@ -54,20 +83,22 @@ def as_dict(found: Suggestion) -> dict[str, Any]:
             for cause in found.causes
         ],
         'best': None if found.best is None else found.best.candidate.label,
-        'special_case': (
-            None if found.special_case is None else [cause.name for cause in found.special_case]
-        ),
+        'imitated': [list(pair) for pair in found.imitated],
         'instead': list(found.instead),
         'experiments': [
             {
                 'experiment': item.candidate.label,
                 'designed': item.candidate.design is not None,
                 'duration_s': item.candidate.experiment.duration_s,
-                'evidence': item.evidence,
-                'detectable': item.detectable,
-                'best_case': item.best_case,
-                'speed_share': max((one.load.speed for one in item.separations), default=None),
-                'current_share': max((one.load.current for one in item.separations), default=None),
+                'evidence': item.evidence(found.counted),
+                'detectable': item.detectable(found.counted),
+                'given_up': not all(pair in item.separations for pair in found.counted),
+                'pairs': [
+                    {'true': true, 'rival': rival, 'evidence': one.evidence}
+                    for (true, rival), one in item.separations.items()
+                ],
+                'speed_share': _largest(item, 'speed'),
+                'current_share': _largest(item, 'current'),
                 'impossible': item.impossible or None,
             }
             for item in found.rated
@@ -75,19 +106,23 @@ def as_dict(found: Suggestion) -> dict[str, Any]:
     }
 
 
+def _largest(item: Rated, share: str) -> float | None:
+    """Return the largest share of a limit with any of the causes; None if nothing was simulated."""
+    return max((getattr(one.load, share) for one in item.separations.values()), default=None)
+
+
 def table_rows(found: Suggestion) -> list[tuple[str, ...]]:
     """Return label, evidence, times the detectable, length, speed and current of what can be run."""
     return [
         (
             item.candidate.label,
-            significant(item.evidence, 3),
-            significant(item.detectable, 3),
+            significant(item.evidence(found.counted), 3),
+            significant(item.detectable(found.counted), 3),
             f'{item.candidate.experiment.duration_s:.1f}',
-            f'{100.0 * max(one.load.speed for one in item.separations):.0f}',
-            f'{100.0 * max(one.load.current for one in item.separations):.0f}',
+            f'{100.0 * (_largest(item, "speed") or 0.0):.0f}',
+            f'{100.0 * (_largest(item, "current") or 0.0):.0f}',
         )
-        for item in found.rated
-        if not item.impossible
+        for item in found.possible
     ]
 
 

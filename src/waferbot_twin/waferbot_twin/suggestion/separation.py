@@ -24,7 +24,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.experiments.evaluation import MILLISECONDS
 from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
@@ -53,6 +53,9 @@ MOST_SPEED, MOST_CURRENT = 1.1, 0.95
 
 TOLERANCE = 1e-4
 """Relative change of squares or values at which a fit is done."""
+
+NOTHING_LEFT = 1.0
+"""Sum of squares of what is left, in variances of the noise, below which no test could see anything."""
 
 
 @dataclass(frozen=True)
@@ -132,9 +135,11 @@ class Separation:
     load: Load
 
 
-def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experiment) -> Separation:
+def separations(
+    machine: Machine, true: Cause, rivals: Sequence[Cause], experiment: Experiment
+) -> list[Separation]:
     """
-    Return how well an experiment tells `rival` from `true`, which is in the machine.
+    Return how well an experiment tells each of the rivals from `true`, which is in the machine.
 
     Raises `UserError` if the machine cannot be simulated with `true`.
     """
@@ -142,13 +147,25 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
     ideal = machine.run((true,), experiment, noisy=False)
     shaken = evaluate(Problem(machine.variant, [machine.record(noisy)]), (true,))
     problem = Problem(machine.variant, [machine.record(ideal)])
+    asked = load(machine.variant, ideal)
+    found = []
+    for rival in rivals:
+        evidence, refitted = _imitated(problem, shaken, true, rival)
+        found.append(Separation(evidence, refitted, shaken.samples, asked))
+    return found
+
+
+def _imitated(
+    problem: Problem, shaken: Hypothesis, true: Cause, rival: Cause
+) -> tuple[float, Cause]:
+    """Return 2 ln L that a rival loses in the noise of `shaken`, and the rival as it was fitted."""
     both = {block for one in (true, rival) for block in problem.touched(one.effect, one.axis)}
     blocks = [block for block in shaken.fits if block in both]
     if not blocks:
-        return Separation(0.0, rival, shaken.samples, load(machine.variant, ideal))
+        return 0.0, rival
 
     def left(cause: Cause) -> Channels:
-        variant = apply_all(machine.variant, (cause,))
+        variant = apply_all(problem.nominal, (cause,))
         return {block: problem.residuals(variant, block) for block in blocks}
 
     own = left(true)
@@ -156,7 +173,7 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
     judged = noise_alone
     for _ in range(ROUNDS):
         difference = partial(_difference, judged, left, own)
-        rival = _closest(difference, rival, problem)
+        rival, squares = _closest(difference, rival, problem)
         rest = left(rival)
         judged = problem.judge(
             {
@@ -169,10 +186,12 @@ def separation(machine: Machine, true: Cause, rival: Cause, experiment: Experime
                 for block in blocks
             }
         )
+        if squares < NOTHING_LEFT:
+            break
     evidence = 2.0 * sum(
         noise_alone[block].log_likelihood - judged[block].log_likelihood for block in blocks
     )
-    return Separation(max(evidence, 0.0), rival, shaken.samples, load(machine.variant, ideal))
+    return max(evidence, 0.0), rival
 
 
 def _difference(
@@ -210,8 +229,10 @@ def _at(cause: Cause, parameters: Sequence[Parameter], scaled: Array) -> Cause:
     return cause.with_values(values)
 
 
-def _closest(difference: Callable[[Cause], Array], rival: Cause, problem: Problem) -> Cause:
-    """Return the rival with the least squares of `difference`, from its values on."""
+def _closest(
+    difference: Callable[[Cause], Array], rival: Cause, problem: Problem
+) -> tuple[Cause, float]:
+    """Return the rival with the least squares of `difference`, from its values on, and the squares."""
     parameters = parameters_of(problem, rival)
     scales = _scales(parameters)
     low, high = (
@@ -225,19 +246,37 @@ def _closest(difference: Callable[[Cause], Array], rival: Cause, problem: Proble
         return difference(_at(rival, parameters, np.array(values)))
 
     def residual(scaled: Array) -> Array:
-        return simulated(tuple(scaled))
+        found = simulated(tuple(scaled))
+        if _squares(found) < NOTHING_LEFT:
+            raise _NothingLeft(scaled)
+        return found
 
     def derivative(scaled: Array) -> Array:
-        here = residual(scaled)
+        here = simulated(tuple(scaled))
         columns = []
         for place, step in enumerate(steps):
             aside = scaled.copy()
             aside[place] += step if scaled[place] + step <= high[place] else -step
-            columns.append((residual(aside) - here) / (aside[place] - scaled[place]))
+            columns.append((simulated(tuple(aside)) - here) / (aside[place] - scaled[place]))
         return np.column_stack(columns)
 
-    best, _ = least_squares(residual, derivative, start, (low, high), EVALUATIONS, TOLERANCE)
-    return _at(rival, parameters, best)
+    try:
+        best, _ = least_squares(residual, derivative, start, (low, high), EVALUATIONS, TOLERANCE)
+    except _NothingLeft as found:
+        best = found.scaled
+    return _at(rival, parameters, best), _squares(simulated(tuple(best)))
+
+
+class _NothingLeft(Exception):
+    """A fit has come so near that nothing is left to be seen."""
+
+    def __init__(self, scaled: Array) -> None:
+        super().__init__()
+        self.scaled = scaled.copy()
+
+
+def _squares(errors: Array) -> float:
+    return float(errors @ errors)
 
 
 def load(variant: Variant, signals: Signals) -> Load:

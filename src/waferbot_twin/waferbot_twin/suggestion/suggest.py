@@ -3,15 +3,16 @@
 The experiment that tells a group of causes apart best.
 
 Every candidate is simulated with each cause in the machine and the others fitted to it; what counts is
-the smallest evidence that it gives for any pair, either way round. The best designed one is tried in
-other sizes as well. If nothing gives enough, it is asked whether signals that are not logged, or the
-motion of parts that no encoder follows, would.
+the smallest evidence that it gives for any pair, either way round. A pair that no candidate tells apart
+does not count: there one cause can do whatever the other does. A candidate that fails where others tell
+is given up. The best designed one is tried in other sizes as well. If nothing gives enough, it is asked
+whether signals that are not logged, or the motion of parts that no encoder follows, would.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations
 
@@ -24,9 +25,12 @@ from waferbot_twin.diagnosis.problem import Cause, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, library
-from waferbot_twin.suggestion.separation import Machine, Separation, separation
+from waferbot_twin.suggestion.separation import Machine, Separation, separations
 
 Progress = Callable[[int, int], None]
+
+Pair = tuple[str, str]
+"""The cause that is in the machine and one that is fitted to it, by their names."""
 
 SAMPLED_S = 0.01
 """How often positions are looked at that no encoder follows."""
@@ -37,30 +41,30 @@ class Rated:
     """
     A candidate with what it is worth.
 
-    `separations` are those of all ordered pairs (true, other); `impossible` says why it cannot be run,
-    else it is empty.
+    `separations` are those of ordered pairs (true, rival); pairs are lacking where the candidate was
+    given up. `impossible` says why it cannot be run, else it is empty.
     """
 
     candidate: Candidate
-    separations: tuple[Separation, ...]
+    separations: Mapping[Pair, Separation]
     impossible: str = ''
 
-    @property
-    def evidence(self) -> float:
-        """The 2 ln L that can be relied on, whichever cause is the true one."""
-        return min((item.evidence for item in self.separations), default=0.0)
+    def tells(self, pair: Pair) -> bool:
+        """Whether a diagnosis of such a log would tell the true cause from the rival."""
+        return pair in self.separations and self.separations[pair].evidence >= TELLS_APART
 
-    @property
-    def best_case(self) -> float:
-        """The 2 ln L if the cause is true that shows most."""
-        return max((item.evidence for item in self.separations), default=0.0)
+    def evidence(self, pairs: Collection[Pair]) -> float:
+        """The least 2 ln L for any of these pairs."""
+        return min(
+            (one.evidence for pair, one in self.separations.items() if pair in pairs), default=0.0
+        )
 
-    @property
-    def detectable(self) -> float:
+    def detectable(self, pairs: Collection[Pair]) -> float:
         """The difference in units of the smallest that any test could detect, sqrt(2 ln L / ln N)."""
         if not self.separations:
             return 0.0
-        return math.sqrt(self.evidence / math.log(self.separations[0].samples))
+        samples = next(iter(self.separations.values())).samples
+        return math.sqrt(self.evidence(pairs) / math.log(samples))
 
 
 @dataclass(frozen=True)
@@ -76,23 +80,40 @@ class Suggestion:
     instead: tuple[str, ...] = field(default=())
 
     @property
-    def best(self) -> Rated | None:
-        """The best that can be run, if it gives enough."""
-        possible = [item for item in self.rated if not item.impossible]
-        return possible[0] if possible and possible[0].evidence >= TELLS_APART else None
+    def possible(self) -> tuple[Rated, ...]:
+        """The candidates that can be run."""
+        return tuple(item for item in self.rated if not item.impossible)
 
     @property
-    def special_case(self) -> tuple[Cause, Cause] | None:
-        """A cause that the other one can imitate in every experiment, and that other one, or None."""
-        if self.best is not None or len(self.causes) != 2:
-            return None
-        possible = [item for item in self.rated if not item.impossible]
-        for place, pair in enumerate(permutations(self.causes, 2)):
-            imitated = all(item.separations[place].evidence < TELLS_APART for item in possible)
-            shows = any(item.separations[1 - place].evidence >= TELLS_APART for item in possible)
-            if imitated and shows:
-                return pair
-        return None
+    def told(self) -> tuple[Pair, ...]:
+        """The ordered pairs that some experiment tells apart."""
+        return tuple(
+            pair for pair in _pairs(self.causes) if any(item.tells(pair) for item in self.possible)
+        )
+
+    @property
+    def imitated(self) -> tuple[Pair, ...]:
+        """The ordered pairs of which the second can do whatever the first does, however it moves."""
+        told = self.told
+        return tuple(pair for pair in _pairs(self.causes) if pair not in told)
+
+    @property
+    def counted(self) -> tuple[Pair, ...]:
+        """The pairs that rate an experiment: those that can be told apart at all, else all."""
+        return self.told or self.imitated
+
+    @property
+    def best(self) -> Rated | None:
+        """The first that tells apart whatever can be."""
+        told = self.told
+        return next(
+            (item for item in self.possible if told and all(item.tells(pair) for pair in told)),
+            None,
+        )
+
+    def best_for(self, pair: Pair) -> Rated:
+        """The experiment that tells this pair best."""
+        return max(self.possible, key=lambda item: item.evidence((pair,)))
 
 
 def suggest(
@@ -103,70 +124,103 @@ def suggest(
 
     Raises `UserError` if there are fewer than two, or if no experiment can be run.
     """
-    if len({cause.name for cause in causes}) < 2:
-        raise UserError('two different causes at least are needed to tell them apart')
+    if len({cause.name for cause in causes}) < max(2, len(causes)):
+        raise UserError('two different causes at least are needed to tell them apart, none twice')
     axes = [axis for axis in AXES if any(cause.axis == axis for cause in causes)]
     candidates = [
         *library(machine.variant),
         *designed(machine.variant, axes, machine.timing),
     ]
-    rated = _rate_all(machine, causes, candidates, progress, workers)
-    best = max(
-        (item for item in rated if item.candidate.design and not item.impossible),
-        key=lambda item: item.evidence,
-        default=None,
-    )
+    rated = _rate_all(machine, causes, _pairs(causes), candidates, progress, workers)
+    found = _in_order(causes, rated)
+    best = next((item for item in found.possible if item.candidate.design), None)
     if best is not None:
-        rated += _rate_all(machine, causes, changed(best.candidate), progress, workers)
-    rated.sort(key=lambda item: (bool(item.impossible), -item.evidence, item.candidate.label))
-    if all(item.impossible for item in rated):
+        sizes = changed(best.candidate)
+        rated += _rate_all(machine, causes, found.counted, sizes, progress, workers)
+        found = _in_order(causes, rated)
+    if not found.possible:
         raise UserError(f'no experiment can be run with these causes: {rated[0].impossible}')
-    found = Suggestion(tuple(causes), tuple(rated))
-    if found.best is None and found.special_case is None:
+    if found.best is None:
         found = replace(found, instead=tuple(_instead(machine, found)))
     return found
+
+
+def _pairs(causes: Sequence[Cause]) -> tuple[Pair, ...]:
+    return tuple((true.name, rival.name) for true, rival in permutations(causes, 2))
+
+
+def _in_order(causes: Sequence[Cause], rated: Sequence[Rated]) -> Suggestion:
+    """Return candidates by how many of the pairs that count they were asked, then by evidence."""
+    counted = Suggestion(tuple(causes), tuple(rated)).counted
+
+    def place(item: Rated) -> tuple[bool, int, float, str]:
+        asked = sum(pair in item.separations for pair in counted)
+        return bool(item.impossible), -asked, -item.evidence(counted), item.candidate.label
+
+    return Suggestion(tuple(causes), tuple(sorted(rated, key=place)))
 
 
 def _rate_all(
     machine: Machine,
     causes: Sequence[Cause],
+    pairs: Collection[Pair],
     candidates: Sequence[Candidate],
     progress: Progress,
     workers: int,
 ) -> list[Rated]:
-    found = []
+    """
+    Return the candidates, rated for these pairs; the same for any number of workers.
+
+    One cause after another is the true one. After each, candidates are given up that do not tell it from
+    a rival from which others tell it, unless nothing would be left.
+    """
+    found = [Rated(item, {}) for item in candidates]
+    trues = [true for true in causes if any(pair[0] == true.name for pair in pairs)]
+    alive = list(range(len(found)))
     pool = Parallel(n_jobs=workers, return_as='generator')
-    for one in pool(delayed(_rate)(machine, causes, item) for item in candidates):
-        found.append(one)
-        progress(len(found), len(candidates))
+    for number, true in enumerate(trues):
+        rivals = [rival for rival in causes if (true.name, rival.name) in pairs]
+        jobs = (delayed(_rate)(machine, true, rivals, found[place]) for place in alive)
+        for done, (place, one) in enumerate(zip(alive, pool(jobs), strict=True), 1):
+            found[place] = one
+            share = (number + done / len(alive)) / len(trues)
+            progress(round(share * len(candidates)), len(candidates))
+        alive = [place for place in alive if not found[place].impossible]
+        told = [
+            (true.name, rival.name)
+            for rival in rivals
+            if any(found[place].tells((true.name, rival.name)) for place in alive)
+        ]
+        alive = [
+            place for place in alive if all(found[place].tells(pair) for pair in told)
+        ] or alive
     return found
 
 
-def _rate(machine: Machine, causes: Sequence[Cause], candidate: Candidate) -> Rated:
+def _rate(machine: Machine, true: Cause, rivals: Sequence[Cause], rated: Rated) -> Rated:
+    """Return a candidate that was asked about these rivals, too."""
     try:
-        found = tuple(
-            separation(machine, true, other, candidate.experiment)
-            for true, other in permutations(causes, 2)
-        )
+        new = separations(machine, true, rivals, rated.candidate.experiment)
     except UserError as error:
-        return Rated(candidate, (), str(error))
-    worst = max((item.load for item in found), key=lambda load: max(load.speed, load.current))
-    if not worst.possible:
-        return Rated(candidate, found, f'beyond the limits of {worst.axis}')
-    return Rated(candidate, found)
+        return replace(rated, impossible=str(error))
+    named = {(true.name, rival.name): one for rival, one in zip(rivals, new, strict=True)}
+    limit = '' if new[0].load.possible else f'beyond the limits of {new[0].load.axis}'
+    return replace(rated, separations={**rated.separations, **named}, impossible=limit)
 
 
 def _instead(machine: Machine, found: Suggestion) -> list[str]:
     """Return what else would tell the causes apart."""
-    possible = [item for item in found.rated if not item.impossible]
-    most = max(possible, key=lambda item: item.evidence).candidate
+    most = found.possible[0].candidate
     said = []
     if machine.without:
-        whole = _rate(replace(machine, without=()), found.causes, most)
-        if whole.evidence >= TELLS_APART:
+        whole = replace(machine, without=())
+        pairs = _pairs(found.causes)
+        rated = _rate_all(whole, found.causes, pairs, [most], lambda done, total: None, 1)
+        evidence = rated[0].evidence(pairs)
+        if evidence >= TELLS_APART:
             said.append(
                 f'log {", ".join(machine.without)} as well: with that, {most.label} is expected to '
-                f'give 2 ln L = {whole.evidence:.0f}'
+                f'give 2 ln L = {evidence:.0f}'
             )
     return said + [
         f'put an encoder on {name}: its motion differs by {size:.2g} {unit} rms in {most.label}'
@@ -181,7 +235,7 @@ def _unseen_motion(
     description = machine.variant.description
     seen = {encoder.coordinate for encoder in description.encoders.values()}
     first, second = causes[:2]
-    refitted = separation(machine, first, second, candidate.experiment).refitted
+    refitted = separations(machine, first, [second], candidate.experiment)[0].refitted
     one, other = (_positions(machine, cause, candidate) for cause in (first, refitted))
     finest = {
         turns: min(
