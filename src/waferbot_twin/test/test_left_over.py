@@ -58,7 +58,7 @@ def test_a_cause_that_stands_in_for_another_leaves_some_over_and_is_in_doubt(pro
     found = searched(problem, FEEDFORWARD)
     axes = axes_that_differ(problem, problem, found)
     assert axes == {CONTROLLER: ['y_linear'], AMPLIFIER: ['x_rotate']}
-    rest = LeftOver([], [], {}, axes, [], [], [])
+    rest = LeftOver([], [], {}, axes, [], [], [], [])
     assert rest.axes == ['y_linear', 'x_rotate']
     assert rest.in_doubt(FEEDFORWARD, problem)
     assert not rest.in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem)

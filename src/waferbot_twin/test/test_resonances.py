@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -17,11 +18,13 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, width_of
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.resonances import (
+    TUNING,
     Line,
     _folded,
     _in_continuous_time,
     lines,
     screen_lines,
+    tuned,
 )
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.effects import find
@@ -131,3 +134,31 @@ def test_a_ring_that_a_fit_has_brought_to_nothing_can_still_be_moved():
     some = none.with_values({'compliance': item.typical})
     assert width_of(none, item) == item.typical
     assert 0.0 < width_of(some, item) < 0.01 * item.typical
+
+
+def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(monkeypatch):
+    """Gains of 600 and 550 (widths 4 % and 5 %): where it is tried the lower one seems higher."""
+    nominal, effect = host(Variant.of(load_model('rigid'))), find('bearing_radial_compliance')
+    (item,) = effect.parameters(nominal, 'x_rotate')
+    right, wrong = (
+        item.typical * math.sqrt(TUNING[place] * TUNING[place + further])
+        for place, further in ((20, 1), (25, 0))
+    )
+
+    def gain(problem, base, cause):
+        value = math.log(cause.values[item.name])
+        return sum(
+            high * math.exp(-0.5 * ((value - math.log(about)) / width) ** 2)
+            for high, about, width in ((600.0, right, 0.04), (550.0, wrong, 0.05))
+        )
+
+    monkeypatch.setattr('waferbot_twin.diagnosis.resonances._in_any_phase', gain)
+    tried = [
+        gain(None, None, Cause(effect, 'x_rotate', {item.name: item.typical * factor}))
+        for factor in TUNING
+    ]
+    assert np.argmax(tried) == 25
+    problem = SimpleNamespace(nominal=nominal)
+    start = Cause(effect, 'x_rotate', {item.name: 0.05 * item.typical})
+    found = tuned(problem, None, start)
+    assert found.values[item.name] == pytest.approx(right, rel=0.005)

@@ -22,6 +22,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from waferbot_lockstep.contract import AXES
@@ -131,13 +132,10 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
     Raises `UserError` if the model's loop is unstable.
     """
     result: list[list[Wanted]] = [[] for _ in found.causes]
-    ideal = problem.ideal(found.causes)
-    if ideal is None or not found.causes:
+    without_noise = changes_without_noise(problem, found)
+    if without_noise is None:
         return result
-    noise_free = evaluate(ideal, found.causes)
-    own = [signature(ideal, noise_free, found.causes, place) for place in range(len(found.causes))]
-    cause_of = np.array([place for place, _ in names_of(problem, found.causes)])
-    changes = side_by_side(own, [int(np.sum(cause_of == p)) for p in range(len(found.causes))])
+    changes, cause_of = without_noise.changes, without_noise.cause_of
     for record in problem.records:
         channels = list(_channels(problem, found, changes, record))
         shows = np.any([np.any(one.matrix != 0.0, axis=0) for one in channels], axis=0)
@@ -170,6 +168,35 @@ def by_log(problem: Problem, found: Hypothesis) -> list[list[Wanted]]:
                 gained[axis] = gained.get(axis, 0.0) + float(there @ there - left @ left)
             wanted.append(Wanted(record.name, change, information, gained))
     return result
+
+
+@dataclass(frozen=True)
+class WithoutNoise:
+    """
+    The noise-free logs of the model with causes, and what the causes' parameters change in them.
+
+    `changes` has a column for every parameter; `cause_of` says of each to which cause it belongs.
+    """
+
+    ideal: Problem
+    changes: Signature
+    cause_of: NDArray[np.int64]
+
+
+def changes_without_noise(problem: Problem, found: Hypothesis) -> WithoutNoise | None:
+    """
+    Return what causes change, seen without noise; None without causes or without commands in a log.
+
+    Raises `UserError` if the model's loop is unstable.
+    """
+    ideal = problem.ideal(found.causes)
+    if ideal is None or not found.causes:
+        return None
+    noise_free = evaluate(ideal, found.causes)
+    own = [signature(ideal, noise_free, found.causes, place) for place in range(len(found.causes))]
+    cause_of = np.array([place for place, _ in names_of(problem, found.causes)])
+    counts = [int(np.sum(cause_of == place)) for place in range(len(found.causes))]
+    return WithoutNoise(ideal, side_by_side(own, counts), cause_of)
 
 
 @dataclass(frozen=True)

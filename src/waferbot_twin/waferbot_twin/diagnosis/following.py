@@ -16,22 +16,18 @@ Limit: what a coarse encoder rounds off goes with its position, and is no noise;
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.noise_free_motion import Motion, change, motion
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit
-from waferbot_twin.effects.places import motor_axes, motor_ratio
-from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 
 CHANCE = 1e-8
 """
@@ -45,17 +41,11 @@ in another pair it was 3e-6.
 BLOCKS = (PLANT, WINDINGS)
 """Those whose output is measured with noise and follows the command through a machine."""
 
-STANDS_COUNTS_S = 200.0
-"""Speed that is about none."""
-
 HARMONICS = (1, 2, 6)
 """
 Of the electrical cycle: current sensors make the first and the second, unequal windings the second, the
 fifth and the seventh of the back-EMF the sixth.
 """
-
-SMOOTHING_S = 0.005
-"""Over which signals are averaged, so that counts do not look like speed."""
 
 
 def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[str]:
@@ -75,7 +65,7 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
             return []
         shown = {channel.axis for block in BLOCKS for channel in logs.channels(block)}
         motions = {
-            (id(one), axis): _motion(logs.nominal, other, axis)
+            (id(one), axis): motion(logs.nominal, other, axis)
             for one, other in zip(logs.records, ideal.records, strict=True)
             for axis in sorted(shown)
         }
@@ -123,10 +113,9 @@ def _gained(
     channels, left = zip(*own, strict=True)
     matrices = []
     for one in channels:
-        motion = motions[id(one.log.record), one.axis]
+        there = motions[id(one.log.record), one.axis]
         columns = [
-            np.interp(one.log.times_s(name), motion.clock_s, column)
-            for column in regressors(motion)
+            np.interp(one.log.times_s(name), there.clock_s, column) for column in regressors(there)
         ]
         matrices.append(np.column_stack(columns))
     noises = [one.noise.alone() for one in channels]
@@ -138,84 +127,27 @@ def _gained(
     return 2.0 * (with_them - without), int(np.count_nonzero(moves))
 
 
-@dataclass(frozen=True)
-class Motion:
-    """
-    What the command makes an axis do, without any noise, at every reading of the encoders (n,).
-
-    Position (counts from the first), speed and acceleration, currents of lines 1 and 2 (A), and the
-    motor's electrical angle (rad).
-    """
-
-    rate_hz: float
-    position: Array
-    speed: Array
-    acceleration: Array
-    currents: tuple[Array, Array]
-    angle: Array
-
-    @property
-    def clock_s(self) -> Array:
-        """Times from the log's beginning."""
-        return np.asarray(np.arange(len(self.position)) / self.rate_hz)
-
-
-def _smooth(signal: Array, rate_hz: float) -> Array:
-    width = max(3, round(SMOOTHING_S * rate_hz))
-    kernel = np.hanning(width + 2)
-    ends = np.pad(signal, width, mode='edge')
-    return np.asarray(np.convolve(ends, kernel / kernel.sum(), mode='same')[width:-width])
-
-
-def _change(signal: Array, rate_hz: float) -> Array:
-    return _smooth(np.gradient(signal) * rate_hz, rate_hz)
-
-
-def _motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
-    """Return what an axis does in a log without noise."""
-    timing = ideal.timing
-    place, name = AXES.index(axis), POSITION_ENCODER[axis]
-    rate_hz = timing.encoder_hz
-    counts = ideal.reading[:, ENCODERS.index(name)]
-    position = _smooth(counts - counts[0], rate_hz)
-    speed = _change(position, rate_hz)
-    currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
-    currents = currents[: len(position)]  # the last tick may be without a reading
-    gain = 0.0
-    if axis in motor_axes(nominal):
-        gain = nominal.description.motors[axis].electrical_gain * motor_ratio(nominal, axis)
-        gain /= nominal.description.encoders[name].counts_per_unit
-    return Motion(
-        rate_hz,
-        position,
-        speed,
-        _change(speed, rate_hz),
-        (_smooth(currents[:, 0], rate_hz), _smooth(currents[:, 1], rate_hz)),
-        gain * (counts[0] + position),
-    )
-
-
-def _signals(motion: Motion) -> list[Array]:
+def _signals(axis: Motion) -> list[Array]:
     """Return signals of a motion and some of their products, and how each changes."""
-    first, second = motion.currents
-    speed = motion.speed
-    direction = np.tanh(speed / STANDS_COUNTS_S)
+    first, second = axis.currents
+    speed = axis.speed
+    direction = axis.direction
     signals = [
-        motion.position,
+        axis.position,
         speed,
-        motion.acceleration,
+        axis.acceleration,
         first,
         second,
         direction,
         np.abs(direction),
         speed * np.abs(speed),
-        direction * motion.position,
+        direction * axis.position,
         direction * np.hypot(first, second),
     ]
-    return [*signals, *(_change(signal, motion.rate_hz) for signal in signals)]
+    return [*signals, *(change(signal, axis.rate_hz) for signal in signals)]
 
 
-def _harmonics(motion: Motion) -> list[Array]:
+def _harmonics(axis: Motion) -> list[Array]:
     """Return harmonics of the electrical cycle, from the first sample on, and these times the speed."""
-    waves = [wave(order * motion.angle) for order in HARMONICS for wave in (np.cos, np.sin)]
-    return [*(wave - wave[0] for wave in waves), *(wave * motion.speed for wave in waves)]
+    waves = [wave(order * axis.angle) for order in HARMONICS for wave in (np.cos, np.sin)]
+    return [*(wave - wave[0] for wave in waves), *(wave * axis.speed for wave in waves)]

@@ -2,10 +2,11 @@
 """
 What the causes leave unexplained, and where.
 
-Six kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+Seven kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
 block whose output follows from its input to the last bit still does something else; what is left follows
 the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
-a cause (`agreement`); or a table of force over speed or position explains it.
+a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); or a table of
+force over speed or position explains it.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
+from waferbot_twin.diagnosis.steadiness import Unsteady, unsteady
 from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.effects.places import motor_axes, moves_with
@@ -38,7 +40,7 @@ class LeftOver:
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
     the command; by axis the frequency, Hz, of a tone (`sounding`); by block those with something
-    `different`; causes on which the logs are `disagreeing`;
+    `different`; causes on which the logs are `disagreeing`, and those that are `unsteady`;
     `tables` of force that explain it.
     """
 
@@ -47,6 +49,7 @@ class LeftOver:
     sounding: Mapping[str, float]
     different: Mapping[str, Sequence[str]]
     disagreeing: list[Disagreement]
+    unsteady: list[Unsteady]
     tables: list[Cause]
     notes: list[str]
 
@@ -57,16 +60,20 @@ class LeftOver:
         every += self.sounding
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
+        every += [item.cause.axis for item in self.unsteady]
         return list(dict.fromkeys(every))
 
     def in_doubt(self, cause: Cause, problem: Problem) -> bool:
         """
         Return whether there is reason to doubt a cause.
 
-        The logs disagree on its values, or it acts in exact blocks alone, one of which still does
-        something else.
+        The logs disagree on its values, it seems larger in one place than in another, or it acts in
+        exact blocks alone, one of which still does something else.
         """
-        if any(item.cause.name == cause.name for item in self.disagreeing):
+        doubted = [item.cause for item in self.disagreeing] + [
+            item.cause for item in self.unsteady
+        ]
+        if any(item.name == cause.name for item in doubted):
             return True
         touched = problem.touched(cause.effect, cause.axis)
         return all(block in self.different for block in touched) and any(
@@ -83,13 +90,14 @@ def left_over(
     sounding = lasting_tones(problem, found.found, judge, found.judged)
     different = axes_that_differ(problem, judge, found)
     disagreeing = [] if moving else disagreements(problem, judge, found)
+    changing = [] if moving else unsteady(problem, judge, found)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
     notes = [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
         for block, axes in different.items()
         for axis in axes
     ]
-    notes += [str(item) for item in disagreeing]
+    notes += [str(item) for item in (*disagreeing, *changing)]
     if following:
         notes.append(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
@@ -103,7 +111,9 @@ def left_over(
             f'what is left over on {", ".join(moving)} is no noise: the machine differs in more than '
             'the causes found, and their values are those that stand in for it best'
         )
-    return LeftOver(moving, following, sounding, different, disagreeing, tables_found, notes)
+    return LeftOver(
+        moving, following, sounding, different, disagreeing, changing, tables_found, notes
+    )
 
 
 def _tables(

@@ -82,6 +82,13 @@ CLOSE = (
 TUNING = tuple(np.geomspace(0.04, 3.0, 45))
 """Times its typical value at which a compliance is tried, 10 % apart."""
 
+RIVALLING, MOST_MAXIMA = 0.5, 3
+"""
+Share of the highest gain from which on another maximum is tried more closely, too, and how many.
+
+One may be narrower than these values are apart: then the right one seems lower than a wrong one.
+"""
+
 SOFTLY = (0.78, 0.88, 1.0, 1.13, 1.28)
 """Times its value at which one is tried that is softer than all these."""
 
@@ -294,14 +301,31 @@ def _best(
     problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
 ) -> tuple[Cause, float]:
     """Return the best of so many times the value of a compliance, and its gain in 2 ln L."""
+    return max(_tried(problem, base, cause, factors), key=lambda item: item[1])
+
+
+def _tried(
+    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
+) -> list[tuple[Cause, float]]:
+    """Return so many times the value of a compliance, each with its gain in 2 ln L."""
     (item,) = parameters_of(problem, cause)
     value = cause.values[item.name]
     about = [
         cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
         for factor in factors
     ]
-    gains = [_in_any_phase(problem, base, tried) for tried in about]
-    return about[int(np.argmax(gains))], max(gains)
+    return [(one, _in_any_phase(problem, base, one)) for one in about]
+
+
+def _maxima(tried: Sequence[tuple[Cause, float]]) -> list[Cause]:
+    """Return what gains more than its neighbours, and much: the best first."""
+    gains = np.array([gain for _, gain in tried])
+    ends = np.concatenate([[-math.inf], gains, [-math.inf]])
+    peaks = np.flatnonzero(
+        (gains >= ends[:-2]) & (gains > ends[2:]) & (gains >= RIVALLING * gains.max())
+    )
+    best_first = sorted((int(place) for place in peaks), key=lambda place: -gains[place])
+    return [tried[place][0] for place in best_first[:MOST_MAXIMA]]
 
 
 def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
@@ -315,10 +339,13 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     narrow = replace(cause, narrow=(item.name,))
     if cause.values[item.name] < TUNING[-1] * item.typical:
         typical = narrow.with_values({item.name: item.typical})
-        best, _ = _best(problem, base, typical, TUNING)
+        tried = _tried(problem, base, typical, TUNING)
     else:
-        best, _ = _best(problem, base, narrow, SOFTLY)
-    best, gain = _best(problem, base, best, [1.0 + share for share in COARSELY])
+        tried = _tried(problem, base, narrow, SOFTLY)
+    about = [1.0 + share for share in COARSELY]
+    best, gain = max(
+        (_best(problem, base, one, about) for one in _maxima(tried)), key=lambda item: item[1]
+    )
     if gain < _in_any_phase(problem, base, cause) + PLAINLY:
         return cause
     return _closer(problem, base, best)[0]
