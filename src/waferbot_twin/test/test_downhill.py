@@ -59,9 +59,10 @@ def test_a_fold_back_is_found_where_a_fit_by_slopes_leaves_it(nominal):
         problem = Problem(nominal, [record])
 
         start = {name: value * random.uniform(0.97, 1.03) for name, value in true.items()}
-        by_slopes = fit_causes(problem, (Cause(effect, AXIS, start),))
+        begun = Cause(effect, AXIS, start)
+        by_slopes = fit_causes(problem, (begun,))
         left_by_slopes += left(problem, by_slopes) > PLAIN
-        found = downhill(problem, by_slopes)
+        found = downhill(problem, begun, by_slopes)
         assert left(problem, found) < PLAIN
         assert found.causes[0].values['continuous'] == pytest.approx(true['continuous'], rel=1e-5)
         assert found.causes[0].values['time'] == pytest.approx(true['time'], rel=0.1)  # a tick's
@@ -111,4 +112,4 @@ def test_what_leaves_nothing_over_or_has_no_threshold_is_left_as_it_is(nominal):
         effect = find(name)
         neutral = {p.name: p.neutral for p in effect.parameters(nominal, AXIS)}
         fitted = fit_causes(problem, (Cause(effect, AXIS, neutral),), rounds=0)
-        assert downhill(problem, fitted) is fitted
+        assert downhill(problem, fitted.causes[0], fitted) is fitted

@@ -8,9 +8,16 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.downhill import downhill
+from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.diagnosis.hypothesis import evaluate, standard_errors
+from waferbot_twin.diagnosis.last_bits import (
+    acts_on_bits_alone,
+    cycles_that_differ,
+    same_bits,
+    with_fewest_differences,
+)
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
@@ -54,3 +61,41 @@ def test_what_also_moves_the_plant_is_left_to_the_fit():
     problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
     force = Cause(find('constant_force'), 'y_linear', {'force': 1.0})
     assert not acts_on_bits_alone(problem, force)
+
+
+@pytest.mark.slow
+def test_a_notch_of_a_few_bits_is_found_where_no_cycle_differs_as_well_as_bits_tell_it():
+    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    truth = Cause(find('notch'), 'x_rotate', {'depth': 1.6e-5, 'frequency': 43.0})
+    variant = apply_all(nominal, [truth])
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('random_x_rotate'), twin.servo_parameters, timing.servo_hz
+    )
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.8)))])
+    start = truth.with_values({'depth': 1.45e-5, 'frequency': 43.4})
+    by_slopes = fit_causes(problem, (start,))
+    assert cycles_that_differ(problem, by_slopes.causes, 'x_rotate') > 0
+
+    found = downhill(problem, start, by_slopes)
+    assert cycles_that_differ(problem, found.causes, 'x_rotate') == 0
+    (notch,) = found.causes
+    assert notch.values['frequency'] == pytest.approx(43.0, rel=1e-3)
+    depth, _ = same_bits(problem, found, 0)
+    assert 0.0 < depth < 0.3 * truth.values['depth']
+    reach = depth + 1.96 * standard_errors(found)[0]
+    assert notch.values['depth'] == pytest.approx(truth.values['depth'], abs=reach)
+    # there a little further it is another notch
+    for sign in (-1.0, 1.0):
+        beyond = notch.with_values({'depth': notch.values['depth'] + sign * 1.2 * depth})
+        assert cycles_that_differ(problem, (beyond,), 'x_rotate') > 0
+    assert downhill(problem, start, found) is found
+
+
+@pytest.mark.slow
+def test_what_acts_on_the_plant_is_not_told_by_bits():
+    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    twin = Twin(built(nominal, timing), nominal.pmac, nominal.copley, timing, 'rigid')
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
+    force = Cause(find('constant_force'), 'y_linear', {'force': 1.0})
+    assert not same_bits(problem, evaluate(problem, (force,)), 0).any()

@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from waferbot_twin.cli.console import new_table, result_console, significant
 from waferbot_twin.diagnosis.diagnose import Diagnosis
-from waferbot_twin.diagnosis.report import NORMAL_95, sentence
+from waferbot_twin.diagnosis.report import sentence, uncertainty
 
 
 def print_diagnosis(
@@ -19,12 +18,11 @@ def print_diagnosis(
         causes = new_table('what the model lacks', 'axis', 'value', '95 %', 'gain in BIC')
         for found in diagnosis.causes:
             for item in found.parameters:
-                error = NORMAL_95 * found.standard_error.get(item.name, math.nan)
                 causes.add_row(
                     found.cause.effect.name,
                     found.cause.axis,
                     f'{item.name} {significant(found.cause.values[item.name])} {item.unit}',
-                    f'± {significant(error, 2)}',
+                    uncertainty(found, item),
                     found.evidence,
                 )
         result_console.print(causes)

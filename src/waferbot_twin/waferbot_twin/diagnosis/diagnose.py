@@ -23,11 +23,12 @@ from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, standard_errors
+from waferbot_twin.diagnosis.last_bits import same_bits
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
@@ -53,6 +54,9 @@ Confidence at most in a cause that leaves some over in a block where a right one
 whose values the logs disagree.
 """
 
+NORMAL_95 = 1.96
+"""Standard errors to either side of a normally distributed estimate that hold 95 % of all."""
+
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""
 
@@ -68,11 +72,16 @@ class Alike:
 
 @dataclass(frozen=True)
 class FoundCause:
-    """A cause with its evidence: standard errors, gain, and what it cannot be told from."""
+    """
+    A cause with its evidence: gain, and what it cannot be told from.
+
+    `reach_95` is how far the 95 % interval of each parameter reaches to either side of its value; one
+    that was chosen from a few has none.
+    """
 
     cause: Cause
     parameters: tuple[Parameter, ...]
-    standard_error: dict[str, float]
+    reach_95: dict[str, float]
     delta_bic: float
     confidence: float
     alike: tuple[Alike, ...]
@@ -296,18 +305,15 @@ def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
 def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[FoundCause]:
     """Return the causes with their evidence, the strongest first."""
     errors = standard_errors(found.found)
-    result, place = [], 0
-    for cause in found.found.causes:
+    result, first = [], 0
+    for place, cause in enumerate(found.found.causes):
         parameters = parameters_of(problem, cause)
-        own = dict(
-            zip(
-                (item.name for item in parameters),
-                (float(value) for value in errors[place : place + len(parameters)]),
-                strict=False,
-            )
+        own = _reach_95(
+            parameters,
+            errors[first : first + len(parameters)],
+            same_bits(problem, found.found, place),
         )
-        place += len(parameters)
-        own |= dict.fromkeys(cause.held, 0.0)
+        first += len(parameters)
         rivals = found.rivals.get(cause.name, [])
         confidence = _confidence(rivals, len(found.found.causes))
         if rest.in_doubt(cause, problem):
@@ -323,6 +329,12 @@ def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[Found
             )
         )
     return sorted(result, key=lambda item: -item.delta_bic)
+
+
+def _reach_95(parameters: Sequence[Parameter], errors: Array, same: Array) -> dict[str, float]:
+    """Return how far intervals reach: as far as noise does, and beyond that what changes no bit."""
+    each = zip(parameters, errors, same, strict=False)
+    return {item.name: float(NORMAL_95 * error + more) for item, error, more in each}
 
 
 def _alike(

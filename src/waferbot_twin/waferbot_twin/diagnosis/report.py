@@ -20,6 +20,7 @@ from waferbot_twin.diagnosis.diagnose import Alike, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, UNITS
+from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.html_page import html_page, picture, save_picture
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
@@ -31,8 +32,6 @@ ROUNDING = 1e-9
 
 MOST_NAMED = 6
 """How many causes the sentence names; all of them are in the table."""
-
-NORMAL_95 = 1.96
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -106,6 +105,13 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+def uncertainty(found: FoundCause, parameter: Parameter) -> str:
+    """Return the interval of a parameter as text."""
+    if parameter.name in found.cause.held:
+        return '(chosen from a few)'
+    return f'± {significant(found.reach_95.get(parameter.name, math.nan), 2)}'
+
+
 def _cause(found: FoundCause) -> dict[str, Any]:
     return {
         'effect': found.cause.effect.name,
@@ -116,10 +122,8 @@ def _cause(found: FoundCause) -> dict[str, Any]:
             item.name: {
                 'value': found.cause.values[item.name],
                 'unit': item.unit,
-                'low95': found.cause.values[item.name]
-                - NORMAL_95 * found.standard_error.get(item.name, math.nan),
-                'high95': found.cause.values[item.name]
-                + NORMAL_95 * found.standard_error.get(item.name, math.nan),
+                'low95': found.cause.values[item.name] - found.reach_95.get(item.name, math.nan),
+                'high95': found.cause.values[item.name] + found.reach_95.get(item.name, math.nan),
             }
             for item in found.parameters
         },
@@ -241,8 +245,7 @@ def _cause_table(diagnosis: Diagnosis) -> str:
     for found in diagnosis.causes:
         values = '<br>'.join(
             f'{item.name} = {significant(found.cause.values[item.name])} '
-            f'± {significant(NORMAL_95 * found.standard_error.get(item.name, math.nan), 2)} '
-            f'{html.escape(item.unit)}'
+            f'{html.escape(item.unit)} {uncertainty(found, item)}'
             for item in found.parameters
         )
         rows += (

@@ -76,7 +76,7 @@ def _fit_one(finding: Problem, judging: Problem, state: Search, item: Screened) 
     """Return a screened effect fitted beside the causes of `state`; None if the machine blows up."""
     try:
         start = _start(finding, state.found, item)
-        found = downhill(finding, fit_causes(finding, (*state.found.causes, start)))
+        found = downhill(finding, start, fit_causes(finding, (*state.found.causes, start)))
         one = Fitted(found, evaluate(judging, found.causes))
     except UserError:
         return None
