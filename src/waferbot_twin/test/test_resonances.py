@@ -58,6 +58,33 @@ def test_a_line_is_found_and_noise_has_none():
     assert line.rate_hz == pytest.approx(RATE_HZ)
 
 
+def test_a_ring_of_a_tenth_of_a_second_is_a_brief_line():
+    seed = 20261124
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    time_s = np.arange(9000) / RATE_HZ
+    ring = np.exp(-time_s / 0.05) * np.sin(2.0 * np.pi * 556.0 * time_s)
+    once = random.normal(0.0, 1.0, 9000)
+    once[3000:] += 1.5 * ring[:6000]
+    (line,) = lines(*left_over({'y_linear': once}))
+    assert line.brief
+    assert line.frequency_hz == pytest.approx(556.0, abs=RATE_HZ / 256)
+
+
+def test_noise_has_a_brief_line_as_seldom_as_it_may_also_where_it_is_louder_while_moving():
+    seed = 20261125
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    loudness = np.repeat([1.0, 5.0, 1.0, 2.0], 2250)
+    found = 0
+    for _ in range(300):
+        white = random.normal(0.0, 1.0, 9000)
+        coloured = white[1:] - 0.6 * white[:-1]
+        found += len(lines(*left_over({'y_linear': coloured * loudness[1:]})))
+    # A hundredth each for lines of the mean and for brief ones: six, with a chance of 1e-3 above 15.
+    assert found <= 15
+
+
 def test_what_the_observer_holds_is_no_line():
     time_s = np.arange(4500) / RATE_HZ
     random = np.random.default_rng(1)

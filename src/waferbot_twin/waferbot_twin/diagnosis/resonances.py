@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import hilbert, welch
+from scipy.signal import hilbert, spectrogram
 from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
@@ -39,17 +39,23 @@ from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
 
-SEGMENT = 1024
-"""Samples of a piece whose spectra are averaged."""
+SEGMENT, BRIEF = 1024, 256
+"""
+Samples of the pieces whose spectra are averaged, and of those that are looked at one by one: a ring that
+the loop damps in a tenth of a second is lost in the mean over a log.
+"""
 
 BACKGROUND = 41
-"""Lines of a spectrum whose median is its background."""
+"""Lines of a spectrum whose median is its background; fewer with brief pieces, as wide in hertz."""
 
 OVERLAPPING = 0.9
 """Independent pieces that each of the pieces, which overlap by half, is worth."""
 
 CHANCE = 0.01
 """Probability that white noise alone has a line."""
+
+ABOUT = 1.15
+"""Margin for the background of a single piece, which is known to a tenth or so."""
 
 MOST_LINES = 3
 """How many lines are tried: each costs up to some twenty simulations for every compliance."""
@@ -104,12 +110,17 @@ PLAINLY = 10.0
 
 @dataclass(frozen=True)
 class Line:
-    """A line in the spectrum of a channel: frequency, power over background, rate of samples, Hz."""
+    """
+    A line in the spectrum of a channel: frequency, power over background, rate of samples, Hz.
+
+    `excess` is the prominence over the least that counts. A `brief` one is that of a single piece.
+    """
 
     channel: str
     frequency_hz: float
-    prominence: float
+    excess: float
     rate_hz: float
+    brief: bool = False
 
 
 def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
@@ -136,70 +147,103 @@ def lines(problem: Problem, base: Hypothesis) -> list[Line]:
     """Return the most prominent lines of what the plant leaves over, above what the observer holds."""
     found: list[Line] = []
     channels = list(dict.fromkeys(problem.channel_names(PLANT)))
-    for channel in channels:
-        spectrum = _spectrum(problem, base.residuals[PLANT], channel)
+    for channel, brief in itertools.product(channels, (False, True)):
+        spectrum = _spectrum(problem, base.residuals[PLANT], channel, brief)
         if spectrum is None:
             continue
-        background = median_filter(spectrum.power, BACKGROUND)
-        prominence = spectrum.power / np.maximum(background, 1e-300)
-        least = _least_prominence(spectrum.pieces, len(prominence) * len(channels))
-        higher = np.maximum(prominence[:-2], prominence[2:])
+        excess = spectrum.prominence / _least_prominence(spectrum, len(channels))
+        higher = np.maximum(excess[:-2], excess[2:])
         peaks = 1 + np.flatnonzero(
-            (prominence[1:-1] > np.maximum(higher, least))
-            & (spectrum.frequency_hz[1:-1] > OBSERVER_HZ)
+            (excess[1:-1] > np.maximum(higher, 1.0)) & (spectrum.frequency_hz[1:-1] > OBSERVER_HZ)
         )
         found += [
             Line(
                 channel,
                 float(spectrum.frequency_hz[peak]),
-                float(prominence[peak]),
+                float(excess[peak]),
                 spectrum.rate_hz,
+                brief,
             )
             for peak in peaks
         ]
     chosen: list[Line] = []
-    for line in sorted(found, key=lambda line: -line.prominence):
+    for line in sorted(found, key=lambda line: (line.brief, -line.excess)):
         apart = all(abs(line.frequency_hz / other.frequency_hz - 1.0) > NEAR for other in chosen)
         if apart and len(chosen) < MOST_LINES:
             chosen.append(line)
     return chosen
 
 
-def _least_prominence(pieces: float, lines: int) -> float:
+def _least_prominence(spectrum: _Spectrum, channels: int) -> float:
     """
-    Return the power over the median that one of so many lines of noise exceeds with `CHANCE`.
+    Return the power over the median that one of the lines of noise exceeds with `CHANCE`.
 
-    The mean power of K independent pieces has a chi-squared distribution with 2 K degrees of freedom.
+    The mean power of K independent pieces has a chi-squared distribution with 2 K degrees of freedom,
+    that of each of K pieces one with 2.
     """
-    distribution = chi2(2.0 * pieces)
+    lines = len(spectrum.power) * channels
+    if spectrum.brief:
+        one = chi2(2.0)
+        return float(ABOUT * one.isf(CHANCE / (lines * spectrum.pieces)) / one.median())
+    distribution = chi2(2.0 * spectrum.pieces)
     return float(distribution.isf(CHANCE / lines) / distribution.median())
 
 
 @dataclass(frozen=True)
 class _Spectrum:
-    """Rate of the samples, frequencies, power density, and of how many pieces it is the mean."""
+    """
+    Rate of the samples, frequencies, power density with its `prominence`, and of how many pieces.
+
+    It is the mean of the pieces, or, `brief`, the largest of any; the prominence is over the background,
+    with pieces as loud as one another.
+    """
 
     rate_hz: float
     frequency_hz: Array
     power: Array
+    prominence: Array
     pieces: float
+    brief: bool
 
 
-def _spectrum(problem: Problem, channels: Sequence[Array], name: str) -> _Spectrum | None:
-    """Return the mean spectrum of a channel in all logs with its rate; None if all are too short."""
-    rate_hz, total, frequency_hz, pieces = 0.0, np.zeros(0), np.zeros(0), 0.0
+def _spectrum(
+    problem: Problem, channels: Sequence[Array], name: str, brief: bool
+) -> _Spectrum | None:
+    """Return the spectrum of a channel in all logs with its rate; None if all are too short."""
+    length = BRIEF if brief else SEGMENT
+    rate_hz, frequency_hz = 0.0, np.zeros(0)
+    pieces: list[Array] = []
     every = zip(problem.channel_names(PLANT), problem.plant_rates_hz, channels, strict=True)
     for own, rate, channel in every:
-        if own != name or len(channel) < SEGMENT:
+        if own != name or len(channel) < length:
             continue
         if rate_hz and abs(rate / rate_hz - 1.0) > 1e-6:
             continue
         rate_hz = rate
-        frequency_hz, power = welch(channel, rate, nperseg=SEGMENT)
-        own_pieces = OVERLAPPING * (len(channel) // (SEGMENT // 2) - 1)
-        total = own_pieces * power + (total if len(total) else 0.0)
-        pieces += own_pieces
-    return _Spectrum(rate_hz, frequency_hz, total / pieces, pieces) if pieces else None
+        frequency_hz, _, power = spectrogram(
+            channel, rate, 'hann', length, length // 2, detrend='constant'
+        )
+        pieces.append(power.T)
+    if not pieces:
+        return None
+    powers = np.vstack(pieces)
+    count = OVERLAPPING * len(powers)
+    # Noise is louder while an axis moves over counts: each piece has a level of its own.
+    shape = _background(np.median(powers, axis=0), length)
+    level = np.maximum(np.median(powers / shape, axis=1), 1e-300)
+    levelled = powers / level[:, None]
+    if brief:
+        prominence = (levelled / shape).max(axis=0)
+        return _Spectrum(rate_hz, frequency_hz, powers.max(axis=0), prominence, count, brief)
+    mean = levelled.mean(axis=0)
+    prominence = mean / _background(mean, length)
+    return _Spectrum(rate_hz, frequency_hz, powers.mean(axis=0), prominence, count, brief)
+
+
+def _background(power: Array, length: int) -> Array:
+    """Return the median about each line of a spectrum of pieces of a length."""
+    lines = BACKGROUND * length // SEGMENT + 1 - BACKGROUND * length // SEGMENT % 2
+    return np.maximum(median_filter(power, lines), 1e-300)
 
 
 def _at_lines(
@@ -281,6 +325,8 @@ def _near(
             too_high_hz = sign * (shown_hz - measured_hz)
             factor = (1.0 + too_high_hz / frequency_hz) ** 2
             best = best.with_values({name: best.values[name] * factor})
+        if line.brief:  # and so as broad
+            best, _ = _best(problem, base, best, [1.0 + share for share in COARSELY])
         yield _closer(problem, base, best)
     except UserError:  # the machine blows up with it
         return
@@ -371,7 +417,7 @@ def _line_at(
     problem: Problem, channels: Sequence[Array], line: Line, within_hz: float
 ) -> tuple[float, float]:
     """Return the frequency of the strongest line near another, Hz, and its RMS value, counts."""
-    spectrum = _spectrum(problem, channels, line.channel)
+    spectrum = _spectrum(problem, channels, line.channel, line.brief)
     assert spectrum is not None  # it has a line
     near = np.flatnonzero(np.abs(spectrum.frequency_hz - line.frequency_hz) < within_hz)
     strongest = int(near[np.argmax(spectrum.power[near])])
@@ -379,4 +425,5 @@ def _line_at(
     power, frequency_hz = spectrum.power[about], spectrum.frequency_hz[about]
     total = float(power.sum())
     middle_hz = float(power @ frequency_hz) / total if total > 0.0 else line.frequency_hz
-    return middle_hz, math.sqrt(total * spectrum.rate_hz / SEGMENT)
+    spacing_hz = float(spectrum.frequency_hz[1])
+    return middle_hz, math.sqrt(total * spacing_hz)
