@@ -179,7 +179,11 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
             for high, about, width in ((600.0, right, 0.04), (550.0, wrong, 0.05))
         )
 
+    def as_it_is(problem, causes):
+        return SimpleNamespace(log_likelihood=0.5 * gain(problem, None, causes[-1]))
+
     monkeypatch.setattr('waferbot_twin.diagnosis.resonances._in_any_phase', gain)
+    monkeypatch.setattr('waferbot_twin.diagnosis.resonances.evaluate', as_it_is)
     tried = [
         gain(None, None, Cause(effect, 'x_rotate', {item.name: item.typical * factor}))
         for factor in TUNING
@@ -187,5 +191,12 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
     assert np.argmax(tried) == 25
     problem = SimpleNamespace(nominal=nominal)
     start = Cause(effect, 'x_rotate', {item.name: 0.05 * item.typical})
-    found = tuned(problem, None, start)
+    nothing = SimpleNamespace(causes=())
+    found = tuned(problem, nothing, start)
     assert found.values[item.name] == pytest.approx(right, rel=0.005)
+    # what suits in some phase only, but not as it is, is no better than the value at hand
+    monkeypatch.setattr(
+        'waferbot_twin.diagnosis.resonances.evaluate',
+        lambda problem, causes: SimpleNamespace(log_likelihood=-causes[-1].values[item.name]),
+    )
+    assert tuned(problem, nothing, start) is start

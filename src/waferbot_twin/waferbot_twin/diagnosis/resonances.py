@@ -32,7 +32,7 @@ from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.modes import coupled_modes
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_change
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, whole_change
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
@@ -88,7 +88,7 @@ CLOSE = (
 TUNING = tuple(np.geomspace(0.04, 3.0, 45))
 """Times its typical value at which a compliance is tried, 10 % apart."""
 
-RIVALLING, MOST_MAXIMA = 0.5, 3
+RIVALLING, MOST_MAXIMA = 0.5, 2
 """
 Share of the highest gain from which on another maximum is tried more closely, too, and how many.
 
@@ -379,7 +379,8 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     Return a compliance where it rings as the logs do, of any size.
 
     Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
-    told. The cause as it is where no other value explains the logs plainly better. Raises `UserError`.
+    told. The cause as it is where no other value explains the logs plainly better in any phase, or
+    none better as it is. Raises `UserError`.
     """
     (item,) = parameters_of(problem, cause)
     narrow = replace(cause, narrow=(item.name,))
@@ -389,12 +390,14 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     else:
         tried = _tried(problem, base, narrow, SOFTLY)
     about = [1.0 + share for share in COARSELY]
-    best, gain = max(
-        (_best(problem, base, one, about) for one in _maxima(tried)), key=lambda item: item[1]
-    )
-    if gain < _in_any_phase(problem, base, cause) + PLAINLY:
-        return cause
-    return _closer(problem, base, best)[0]
+    least = _in_any_phase(problem, base, cause) + PLAINLY
+    refined = [cause]
+    for one in _maxima(tried):
+        best, gain = _best(problem, base, one, about)
+        if gain >= least:
+            refined.append(_closer(problem, base, best)[0])
+    # In any phase much suits a little: as they are, values far too soft would be the worst of all.
+    return max(refined, key=lambda one: evaluate(problem, (*base.causes, one)).log_likelihood)
 
 
 def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
