@@ -59,17 +59,13 @@ def downhill(problem: Problem, begun: Cause, found: Hypothesis) -> Hypothesis:
     simulation blows up.
     """
     cause = found.causes[-1]
-    blocks = problem.touched(cause.effect, cause.axis)
-    if not set(blocks) <= set(problem.exact_blocks):
-        return found
-    if cause.effect.threshold:
-        plain = (problem.plain_axes(block, found.residuals[block]) for block in blocks)
-        return (
-            _limit(problem, found, blocks) if any(cause.axis in axes for axes in plain) else found
-        )
-    if acts_on_bits_alone(problem, cause):
+    if acts_on_bits_alone(problem, cause) and not cause.effect.threshold:
         return _to_the_last_bit(problem, begun, found)
-    return found
+    blocks = problem.touched(cause.effect, cause.axis)
+    if not cause.effect.threshold or not set(blocks) <= set(problem.exact_blocks):
+        return found
+    plain = (problem.plain_axes(block, found.residuals[block]) for block in blocks)
+    return _limit(problem, found, blocks) if any(cause.axis in axes for axes in plain) else found
 
 
 def _limit(problem: Problem, found: Hypothesis, blocks: Sequence[str]) -> Hypothesis:
