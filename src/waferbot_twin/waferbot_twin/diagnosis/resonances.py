@@ -38,6 +38,7 @@ from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.together import far
 
 SEGMENT, BRIEF = 1024, 256
 """
@@ -125,7 +126,7 @@ class Line:
 
 def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
     """Try every compliance that the model holds rigid at the lines that it may have made."""
-    found = lines(problem, base)
+    found = lines(problem, base, brief=not far(base))  # a motion that swings has lines, too
     screened = []
     for cause in rivals if found else []:
         nothing_yet = not any(cause.values.values())
@@ -143,12 +144,16 @@ def may_ring(problem: Problem, cause: Cause) -> bool:
     return cause.effect.rings and rigid and not cause.narrow
 
 
-def lines(problem: Problem, base: Hypothesis) -> list[Line]:
-    """Return the most prominent lines of what the plant leaves over, above what the observer holds."""
+def lines(problem: Problem, base: Hypothesis, brief: bool = True) -> list[Line]:
+    """
+    Return the most prominent lines of what the plant leaves over, above what the observer holds.
+
+    Those of single pieces only if they are asked for, `brief`.
+    """
     found: list[Line] = []
     channels = list(dict.fromkeys(problem.channel_names(PLANT)))
-    for channel, brief in itertools.product(channels, (False, True)):
-        spectrum = _spectrum(problem, base.residuals[PLANT], channel, brief)
+    for channel, piece in itertools.product(channels, (False, True) if brief else (False,)):
+        spectrum = _spectrum(problem, base.residuals[PLANT], channel, piece)
         if spectrum is None:
             continue
         excess = spectrum.prominence / _least_prominence(spectrum, len(channels))
@@ -162,7 +167,7 @@ def lines(problem: Problem, base: Hypothesis) -> list[Line]:
                 float(spectrum.frequency_hz[peak]),
                 float(excess[peak]),
                 spectrum.rate_hz,
-                brief,
+                piece,
             )
             for peak in peaks
         ]
