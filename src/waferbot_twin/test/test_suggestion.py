@@ -241,6 +241,45 @@ def test_what_is_expected_is_what_a_noisy_log_then_gives(rigid):
     assert 0.3 < alike < 0.9999
 
 
+def test_what_one_experiment_alone_tells_is_found_though_it_was_given_up(rigid, monkeypatch):
+    """The small one is given up over the first cause; the third is told from the second by it alone."""
+    causes = [cause(rigid, name, 'x_rotate') for name in NAMES]
+    first, second, third = (one.name for one in causes)
+    told_by = {
+        'full_stroke_x_rotate': {(first, second), (first, third), (second, first), (third, first)},
+        'step': {(first, third), (third, second)},
+    }
+    asked, shown = [], []
+
+    def look_up(machine, true, rivals, experiment):
+        asked.extend((experiment.name, true.name, rival.name) for rival in rivals)
+        load = Load(0.5, 0.3, 'x_rotate')
+        return [
+            Separation(
+                100.0 if (true.name, rival.name) in told_by[experiment.name] else 1.0,
+                rival,
+                2000,
+                load,
+            )
+            for rival in rivals
+        ]
+
+    candidates = [Candidate(name, load_experiment(name)) for name in told_by]
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest.separations', look_up)
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest.library', lambda variant: candidates)
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest.designed', lambda *arguments: [])
+    monkeypatch.setattr('waferbot_twin.suggestion.suggest._instead', lambda machine, found: [])
+    machine = Machine(rigid, 1.0, 0, TIMING)
+    found = suggest(machine, causes, lambda done, total: shown.append((done, total)))
+    assert found.imitated == ((second, third),)
+    assert found.best is None
+    assert found.best_for((third, second)).candidate.label == 'step'
+    assert ('step', second, first) not in asked  # given up by then, and told by the other
+    assert len(set(asked)) == len(asked)
+    assert shown[-1][0] == shown[-1][1]
+    assert [done for done, _ in shown] == list(range(1, len(shown) + 1))
+
+
 @pytest.mark.slow
 def test_a_pair_that_a_small_step_leaves_open_is_told_apart_by_what_is_suggested(
     rigid, monkeypatch

@@ -38,7 +38,10 @@ and time up to 15 % off).
 """
 
 CLOSE, ENOUGH = 1e-6, 0.1
-"""Share of the parameters, and 2 ln L, within which the simplex has to be at its end."""
+"""
+Share of the parameters, and 2 ln L (in a controller noise floors, `left_of_bits`), within which the
+simplex has to be at its end.
+"""
 
 MOST = 300
 """How often at most the block is simulated by one simplex."""

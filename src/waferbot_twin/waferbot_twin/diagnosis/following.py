@@ -22,7 +22,7 @@ from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.noise_free_motion import Motion, change, motion
+from waferbot_twin.diagnosis.noise_free_motion import Motion, change, motions
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
@@ -64,12 +64,7 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
         if ideal is None:
             return []
         shown = {channel.axis for block in BLOCKS for channel in logs.channels(block)}
-        motions = {
-            (id(one), axis): motion(logs.nominal, other, axis)
-            for one, other in zip(logs.records, ideal.records, strict=True)
-            for axis in sorted(shown)
-        }
-        both.append((logs, hypothesis, motions))
+        both.append((logs, hypothesis, motions(logs, ideal, shown)))
     coarse = _coarse_encoders(problem, found.found.causes)
     axes: list[str] = []
     for block in BLOCKS:
@@ -100,7 +95,7 @@ def _coarse_encoders(problem: Problem, causes: Sequence[Cause]) -> set[str]:
 def _gained(
     problem: Problem,
     hypothesis: Hypothesis,
-    motions: Mapping[tuple[int, str], Motion],
+    moved: Mapping[tuple[int, str], Motion],
     block: str,
     name: str,
     regressors: Callable[[Motion], list[Array]],
@@ -113,7 +108,7 @@ def _gained(
     channels, left = zip(*own, strict=True)
     matrices = []
     for one in channels:
-        there = motions[id(one.log.record), one.axis]
+        there = moved[id(one.log.record), one.axis]
         columns = [
             np.interp(one.log.times_s(name), there.clock_s, column) for column in regressors(there)
         ]

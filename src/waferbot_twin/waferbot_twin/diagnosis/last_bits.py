@@ -85,7 +85,7 @@ def same_bits(problem: Problem, found: Hypothesis, place: int) -> Array:
 
 
 def left_of_bits(problem: Problem, causes: Sequence[Cause], axis: str) -> float:
-    """Return what an axis' controller does otherwise than the model with causes, in all, bits."""
+    """Return what an axis' controller does otherwise than the model, in all, in noise floors."""
     left = problem.residuals(apply_all(problem.nominal, causes), CONTROLLER)
     channels = zip(problem.noises(CONTROLLER), left, problem.channels(CONTROLLER), strict=True)
     return sum(

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.effects.places import motor_axes, motor_ratio
 from waferbot_twin.effects.variant import Variant
@@ -87,3 +89,14 @@ def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
         (_smooth(currents[:, 0], rate_hz), _smooth(currents[:, 1], rate_hz)),
         gain * (counts[0] + position),
     )
+
+
+def motions(
+    problem: Problem, ideal: Problem, axes: Iterable[str]
+) -> dict[tuple[int, str], Motion]:
+    """Return what axes do in the logs without noise, by the identity of the measured record and axis."""
+    return {
+        (id(measured), axis): motion(problem.nominal, noise_free, axis)
+        for measured, noise_free in zip(problem.records, ideal.records, strict=True)
+        for axis in sorted(set(axes))
+    }

@@ -330,7 +330,7 @@ def _near(
             too_high_hz = sign * (shown_hz - measured_hz)
             factor = (1.0 + too_high_hz / frequency_hz) ** 2
             best = best.with_values({name: best.values[name] * factor})
-        if line.brief:  # and so as broad
+        if line.brief:  # its frequency is known to some parts of a hundred only
             best, _ = _best(problem, base, best, [1.0 + share for share in COARSELY])
         yield _closer(problem, base, best)
     except UserError:  # the machine blows up with it

@@ -19,18 +19,19 @@ Assumption: m changes slowly against the memory of the blocks' observers, some m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.agreement import WithoutNoise, changes_without_noise
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.jointly import by_channel
-from waferbot_twin.diagnosis.noise_free_motion import Motion, motion
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.noise_free_motion import Motion, motions
+from waferbot_twin.diagnosis.problem import Cause, Channel, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.whitening import fit
@@ -71,7 +72,7 @@ def unsteady(problem: Problem, judge: Problem, found: Search) -> list[Unsteady]:
     None where a log does not have what was commanded, or the model's loop is unstable: then there
     is no noise-free log to ask.
     """
-    both = []
+    blocks: list[_Block] = []
     for logs, hypothesis in ((problem, found.found), (judge, found.judged)):
         try:
             without_noise = changes_without_noise(logs, hypothesis)
@@ -79,13 +80,13 @@ def unsteady(problem: Problem, judge: Problem, found: Search) -> list[Unsteady]:
             without_noise = None
         if without_noise is None:
             return []
-        both.append((logs, hypothesis, without_noise))
+        blocks.extend(_blocks(logs, hypothesis, without_noise))
     result = []
     causes = found.found.causes
     for place, cause in enumerate(causes):
         asked = []
         for name in SLOW:
-            each = [_gained(*one, place, name) for one in both]
+            each = [block.gained(place, cause.axis, name) for block in blocks]
             count = sum(number for _, number in each)
             if count:
                 gained = sum(gain for gain, _ in each)
@@ -98,46 +99,55 @@ def unsteady(problem: Problem, judge: Problem, found: Search) -> list[Unsteady]:
     return result
 
 
-def _gained(
-    problem: Problem, hypothesis: Hypothesis, without_noise: WithoutNoise, place: int, name: str
-) -> tuple[float, int]:
-    """Return what logs gain in 2 ln L if a cause may change with something, and by how many numbers."""
-    mine = without_noise.cause_of == place
-    gained, count = 0.0, 0
-    for block, changes in without_noise.changes.items():
-        if block in problem.exact_blocks:
-            continue
-        residuals = hypothesis.residuals[block]
-        own = by_channel(changes, residuals)
-        weights = _weights(problem, without_noise, block, hypothesis.causes[place].axis, name)
+@dataclass(frozen=True)
+class _Block:
+    """
+    A block with noise in some logs: what is left over there, and what the causes change, by channel.
+
+    `likelihood` is ln L with every cause as large everywhere; `moved` says what the axes do there.
+    """
+
+    channels: Sequence[Channel]
+    left: Sequence[Array]
+    changes: Sequence[Array]
+    cause_of: NDArray[np.int64]
+    moved: Mapping[tuple[int, str], Motion]
+    likelihood: float
+
+    def gained(self, place: int, axis: str, name: str) -> tuple[float, int]:
+        """Return what is gained in 2 ln L if a cause may change with it, and by how many numbers."""
+        mine = self.cause_of == place
         more = [
-            np.hstack([one, one[:, mine] * weight[:, None]])
-            for one, weight in zip(own, weights, strict=True)
+            np.hstack([own, own[:, mine] * self._weight(channel, axis, name)[:, None]])
+            for channel, own in zip(self.channels, self.changes, strict=True)
         ]
         shows = np.any([np.any(one != 0.0, axis=0) for one in more], axis=0)
         new = int(np.count_nonzero(shows[len(mine) :]))
         if not new:
-            continue
-        noises = problem.noises(block)
-        steady, free = (
-            fit(residuals, matrices, noises).log_likelihood for matrices in (own, more)
-        )
-        gained, count = gained + 2.0 * (free - steady), count + new
-    return max(gained, 0.0), count
+            return 0.0, 0
+        free = fit(self.left, more, [channel.noise for channel in self.channels]).log_likelihood
+        return max(2.0 * (free - self.likelihood), 0.0), new
 
-
-def _weights(
-    problem: Problem, without_noise: WithoutNoise, block: str, axis: str, name: str
-) -> Iterator[Array]:
-    """Give for every channel of a block what the size of a cause may change with, at its samples."""
-    ideal = {
-        id(record): noise_free
-        for record, noise_free in zip(problem.records, without_noise.ideal.records, strict=True)
-    }
-    for channel in problem.channels(block):
-        there = motion(problem.nominal, ideal[id(channel.log.record)], axis)
+    def _weight(self, channel: Channel, axis: str, name: str) -> Array:
+        """Return what a cause may change with, at a channel's samples: without its mean, at most one."""
+        there = self.moved[id(channel.log.record), axis]
         slow = SLOW[name](there)
         slow = slow - np.mean(slow)
         largest = float(np.max(np.abs(slow)))
         weight = slow / largest if largest > 0.0 else slow
-        yield np.interp(channel.log.times_s(channel.name), there.clock_s, weight)
+        return np.interp(channel.log.times_s(channel.name), there.clock_s, weight)
+
+
+def _blocks(
+    problem: Problem, hypothesis: Hypothesis, without_noise: WithoutNoise
+) -> Iterator[_Block]:
+    """Give the blocks with noise that any cause changes."""
+    axes = (cause.axis for cause in hypothesis.causes)
+    moved = motions(problem, without_noise.ideal, axes)
+    for block, matrix in without_noise.changes.items():
+        if block in problem.exact_blocks:
+            continue
+        left, channels = hypothesis.residuals[block], problem.channels(block)
+        changes = by_channel(matrix, left)
+        steady = fit(left, changes, [channel.noise for channel in channels])
+        yield _Block(channels, left, changes, without_noise.cause_of, moved, steady.log_likelihood)

@@ -131,12 +131,12 @@ def suggest(
         *library(machine.variant),
         *designed(machine.variant, axes, machine.timing),
     ]
-    rated = _rate_all(machine, causes, _pairs(causes), candidates, progress, workers)
+    rated = _rate_all(machine, causes, candidates, progress, workers)
     found = _in_order(causes, rated)
     best = next((item for item in found.possible if item.candidate.design), None)
     if best is not None:
         sizes = changed(best.candidate)
-        rated += _rate_all(machine, causes, found.counted, sizes, progress, workers)
+        rated += _rate_all(machine, causes, sizes, progress, workers)
         found = _in_order(causes, rated)
     if not found.possible:
         raise UserError(f'no experiment can be run with these causes: {rated[0].impossible}')
@@ -163,34 +163,54 @@ def _in_order(causes: Sequence[Cause], rated: Sequence[Rated]) -> Suggestion:
 def _rate_all(
     machine: Machine,
     causes: Sequence[Cause],
-    pairs: Collection[Pair],
     candidates: Sequence[Candidate],
     progress: Progress,
     workers: int,
 ) -> list[Rated]:
     """
-    Return the candidates, rated for these pairs; the same for any number of workers.
+    Return the candidates, rated; the same for any number of workers.
 
     One cause after another is the true one. After each, candidates are given up that do not tell it from
-    a rival from which others tell it, unless nothing would be left.
+    a rival from which others tell it, unless nothing would be left. Where the others do not tell it from
+    a rival, those given up are asked, too.
     """
     found = [Rated(item, {}) for item in candidates]
-    trues = [true for true in causes if any(pair[0] == true.name for pair in pairs)]
     alive = list(range(len(found)))
     pool = Parallel(n_jobs=workers, return_as='generator')
-    for number, true in enumerate(trues):
-        rivals = [rival for rival in causes if (true.name, rival.name) in pairs]
-        jobs = (delayed(_rate)(machine, true, rivals, found[place]) for place in alive)
-        for done, (place, one) in enumerate(zip(alive, pool(jobs), strict=True), 1):
+    finished = 0
+
+    def ask(
+        places: Sequence[int], true: Cause, rivals: Sequence[Cause], later: int
+    ) -> list[Cause]:
+        """Rate candidates; return the rivals from which none of them tells the true cause."""
+        nonlocal finished
+        jobs = (delayed(_rate)(machine, true, rivals, found[place]) for place in places)
+        end = finished + len(places)
+        for place, one in zip(places, pool(jobs), strict=True):
             found[place] = one
-            share = (number + done / len(alive)) / len(trues)
-            progress(round(share * len(candidates)), len(candidates))
-        alive = [place for place in alive if not found[place].impossible]
-        told = [
-            (true.name, rival.name)
+            finished += 1
+            progress(finished, end + later)
+        return [
+            rival
             for rival in rivals
-            if any(found[place].tells((true.name, rival.name)) for place in alive)
+            if not any(
+                found[place].tells((true.name, rival.name))
+                for place in places
+                if not found[place].impossible
+            )
         ]
+
+    for number, true in enumerate(causes):
+        rivals = [rival for rival in causes if rival is not true]
+        trues_left = len(causes) - number - 1
+        untold = ask(alive, true, rivals, trues_left * len(alive))
+        given_up = [
+            place for place, item in enumerate(found) if place not in alive and not item.impossible
+        ]
+        if untold and given_up:
+            ask(given_up, true, untold, trues_left * len(alive))
+        alive = [place for place in alive if not found[place].impossible]
+        told = [(true.name, rival.name) for rival in rivals if rival not in untold]
         alive = [
             place for place in alive if all(found[place].tells(pair) for pair in told)
         ] or alive
@@ -215,7 +235,7 @@ def _instead(machine: Machine, found: Suggestion) -> list[str]:
     if machine.without:
         whole = replace(machine, without=())
         pairs = _pairs(found.causes)
-        rated = _rate_all(whole, found.causes, pairs, [most], lambda done, total: None, 1)
+        rated = _rate_all(whole, found.causes, [most], lambda done, total: None, 1)
         evidence = rated[0].evidence(pairs)
         if evidence >= TELLS_APART:
             said.append(
