@@ -38,19 +38,24 @@ def cause(nominal, name, axis, **values):
     return Cause(effect, axis, effect.complete(nominal, axis, values))
 
 
-def searched(nominal, hidden, named, motion):
-    """Return the logs of a machine with `hidden` in which `named` is fitted: two noisy ones alike."""
+def searched(nominal, hidden, named, *motions):
+    """
+    Return the logs of a machine with `hidden` in which `named` is fitted.
+
+    One with noise of each motion finds, another judges.
+    """
     random = np.random.default_rng(SEED)
     print(f'seed {SEED}')
-    timing, logs = Timing(), []
-    experiment = load_experiment(motion)
-    for _ in range(2):
+    timing = Timing()
+
+    def log(motion):
+        experiment = load_experiment(motion)
         machine = with_noise(apply_all(nominal, [hidden]), nominal, 1.0, random)
         twin = Twin(built(machine, timing), machine.pmac, machine.copley, timing, 'rigid')
         twin.commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
-        signals = twin.advance(timing.ticks(experiment.duration_s))
-        logs.append(Problem(nominal, [record_of_signals('log', signals)]))
-    finding, judging = logs
+        return record_of_signals('log', twin.advance(timing.ticks(experiment.duration_s)))
+
+    finding, judging = (Problem(nominal, [log(motion) for motion in motions]) for _ in range(2))
     found = fit_causes(finding, (named,))
     judged = evaluate(judging, found.causes)
     return finding, judging, Search(found, judged, evaluate(finding), evaluate(judging))
@@ -88,6 +93,16 @@ def test_what_a_cause_stands_in_for_shows_where_it_is_larger(nominal, hidden, na
 def test_a_true_cause_is_as_large_everywhere(nominal, name):
     truth = cause(nominal, name, 'y_linear')
     assert unsteady(*searched(nominal, truth, truth, 'full_stroke_y_linear')) == []
+
+
+@pytest.mark.slow
+def test_several_logs_are_asked_together(nominal):
+    truth = cause(nominal, 'cold_ferrofluid', 'y_linear', drag=400.0, time_constant=1.0)
+    stand_in = cause(nominal, 'viscous_friction', 'y_linear')
+    motions = ('full_stroke_y_linear', 'step')
+    assert unsteady(*searched(nominal, truth, truth, *motions)) == []
+    (doubted,) = unsteady(*searched(nominal, truth, stand_in, *motions))
+    assert doubted.with_what == 'time'
 
 
 def test_without_a_noise_free_log_nothing_is_said():

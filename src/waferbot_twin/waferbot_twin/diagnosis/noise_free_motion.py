@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,11 +92,11 @@ def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
 
 
 def motions(
-    problem: Problem, ideal: Problem, axes: Iterable[str]
+    problem: Problem, ideal: Problem, axes: Collection[str]
 ) -> dict[tuple[int, str], Motion]:
     """Return what axes do in the logs without noise, by the identity of the measured record and axis."""
     return {
         (id(measured), axis): motion(problem.nominal, noise_free, axis)
         for measured, noise_free in zip(problem.records, ideal.records, strict=True)
-        for axis in sorted(set(axes))
+        for axis in sorted(axes)
     }

@@ -142,7 +142,7 @@ def _blocks(
     problem: Problem, hypothesis: Hypothesis, without_noise: WithoutNoise
 ) -> Iterator[_Block]:
     """Give the blocks with noise that any cause changes."""
-    axes = (cause.axis for cause in hypothesis.causes)
+    axes = {cause.axis for cause in hypothesis.causes}
     moved = motions(problem, without_noise.ideal, axes)
     for block, matrix in without_noise.changes.items():
         if block in problem.exact_blocks:
