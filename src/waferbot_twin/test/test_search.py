@@ -105,7 +105,7 @@ class World:
             monkeypatch.setattr(module, 'evaluate', lambda _, causes: self.hypothesis(causes))
         monkeypatch.setattr(search, '_screen_round', self.screened)
         monkeypatch.setattr(shortlist, '_start', lambda problem, base, item: item.cause)
-        monkeypatch.setattr(shortlist, '_weighed', lambda *rest: replace(rest[-1], confirmed=True))
+        monkeypatch.setattr(shortlist, 'weighed', lambda *rest: replace(rest[3], confirmed=True))
         self.promising = promising
 
     def touched(self, effect, axis):

@@ -178,7 +178,7 @@ def diagnose(
             found, problem, judge, finding, judging = other, judge, problem, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
     if not found.far_off:
-        found = weighed_in_all_logs(problem, judge, found, progress)
+        found = weighed_in_all_logs(problem, judge, found, progress, workers)
     withdrawn: list[Cause] = []
     said: list[str] = []
     winning = that_wins(problem, judge, found, said)

@@ -53,6 +53,12 @@ came to where nothing is left over from 9, these from 15.
 """
 
 
+WORTH_IT = 0.7
+"""
+Share of what an axis' controller does otherwise that a cause may leave at most for simplices to go on.
+"""
+
+
 def downhill(problem: Problem, begun: Cause, found: Hypothesis) -> Hypothesis:
     """
     Return a fitted hypothesis, better if its last cause leaves some over that right values would not.
@@ -86,14 +92,21 @@ def _limit(problem: Problem, found: Hypothesis, blocks: Sequence[str]) -> Hypoth
 
 
 def _to_the_last_bit(problem: Problem, begun: Cause, found: Hypothesis) -> Hypothesis:
-    """Return the last cause of a hypothesis where it leaves least over in the controller."""
+    """
+    Return the last cause of a hypothesis where it leaves least over in the controller.
+
+    As it is where it leaves nearly all that there was: a wrong cause has no end that is worth the way.
+    """
     others = found.causes[:-1]
+    at_most = WORTH_IT * left_of_bits(problem, others, found.causes[-1].axis)
 
     def left(tried: Cause) -> float:
         return left_of_bits(problem, (*others, tried), tried.axis)
 
     for start in (found.causes[-1], begun):
         best, least = start, left(start)
+        if least > at_most:
+            continue
         sizes = np.array(
             [
                 start.values[item.name] - (0.0 if item.shape else item.neutral)

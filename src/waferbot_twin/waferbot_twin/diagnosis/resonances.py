@@ -26,6 +26,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from joblib import Parallel, delayed
 from scipy.ndimage import median_filter
 from scipy.signal import hilbert, spectrogram
 from scipy.stats import chi2
@@ -124,18 +125,23 @@ class Line:
     brief: bool = False
 
 
-def screen_lines(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
+def screen_lines(
+    problem: Problem, base: Hypothesis, rivals: Sequence[Cause], workers: int = 1
+) -> list[Screened]:
     """Try every compliance that the model holds rigid at the lines that it may have made."""
     found = lines(problem, base, brief=not far(base))  # a motion that swings has lines, too
-    screened = []
-    for cause in rivals if found else []:
-        nothing_yet = not any(cause.values.values())
-        if nothing_yet and may_ring(problem, cause):
-            screened += [
-                Screened(tried, gain - math.log(base.samples), np.zeros(1))
-                for tried, gain in _at_lines(problem, base, cause, found)
-            ]
-    return screened
+    stiff = [
+        cause
+        for cause in rivals
+        if found and not any(cause.values.values()) and may_ring(problem, cause)
+    ]
+    pool = Parallel(n_jobs=workers, batch_size=1)
+    each = pool(delayed(_at_lines)(problem, base, cause, found) for cause in stiff)
+    return [
+        Screened(tried, gain - math.log(base.samples), np.zeros(1))
+        for at_lines in each
+        for tried, gain in at_lines
+    ]
 
 
 def may_ring(problem: Problem, cause: Cause) -> bool:
@@ -253,11 +259,12 @@ def _background(power: Array, length: int) -> Array:
 
 def _at_lines(
     problem: Problem, base: Hypothesis, cause: Cause, found: Sequence[Line]
-) -> Iterator[tuple[Cause, float]]:
-    """Give a compliance with each value that may have made a line, and its gain in 2 ln L there."""
+) -> list[tuple[Cause, float]]:
+    """Return a compliance with each value that may have made a line, and its gain in 2 ln L there."""
     (parameter,) = parameters_of(problem, cause)
     typical = cause.with_values({parameter.name: parameter.typical})
     step_s = problem.records[0].timing.tick_s
+    tried: list[tuple[Cause, float]] = []
     for mode_hz, line in itertools.product(_own_modes(problem, base, typical), found):
         for frequency_hz, sign in _folded(line, 0.5 / step_s):
             value = parameter.typical * (mode_hz / _in_continuous_time(frequency_hz, step_s)) ** 2
@@ -265,7 +272,8 @@ def _at_lines(
                 start = replace(
                     cause.with_values({parameter.name: value}), narrow=(parameter.name,)
                 )
-                yield from _near(problem, base, start, line, frequency_hz, sign)
+                tried += _near(problem, base, start, line, frequency_hz, sign)
+    return tried
 
 
 def _folded(line: Line, highest_hz: float) -> list[tuple[float, float]]:

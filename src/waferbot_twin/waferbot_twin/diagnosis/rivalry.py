@@ -13,10 +13,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from joblib import Parallel, delayed
+
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import Problem
+from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search_state import (
     TELLS_APART,
@@ -46,7 +48,7 @@ that the logs for finding tell badly.
 
 
 def weighed_in_all_logs(
-    problem: Problem, judge: Problem, found: Search, progress: Progress
+    problem: Problem, judge: Problem, found: Search, progress: Progress, workers: int = 1
 ) -> Search:
     """
     Return a search whose rivals are weighed by fits to all logs together.
@@ -67,7 +69,7 @@ def weighed_in_all_logs(
                 weighed, present = found.found, fit_causes(every, found.found.causes)
         except UserError:
             return found
-        found = _weighed(every, present, problem, judge, found, place, close)
+        found = _weighed(every, present, problem, judge, found, place, close, workers)
     return found
 
 
@@ -88,6 +90,7 @@ def _weighed(
     found: Search,
     place: int,
     close: list[Rival],
+    workers: int,
 ) -> Search:
     """
     Return the search with the close rivals of one cause weighed, and with the best in its place.
@@ -99,10 +102,13 @@ def _weighed(
     others = [item for item in found.rivals[own.name] if item not in close]
     scores = [Score(present.information_criterion, present.log_likelihood, present.parameters)]
     rivals = []
-    for rival in close:
-        try:
-            fitted = fit_causes(every, (*causes[:place], rival.cause, *causes[place + 1 :]))
-        except UserError:
+    pool = Parallel(n_jobs=workers, batch_size=1)
+    each = pool(
+        delayed(_fitted)(every, (*causes[:place], rival.cause, *causes[place + 1 :]))
+        for rival in close
+    )
+    for rival, fitted in zip(close, each, strict=True):
+        if fitted is None:
             others.append(rival)
             continue
         rivals.append(
@@ -127,6 +133,14 @@ def _weighed(
     gained = 2.0 * (found.judged.log_likelihood - without.log_likelihood)
     lost = 2.0 * (found.judged.log_likelihood - instead.judged.log_likelihood)
     return found if lost > max(TELLS_APART, LOST * gained) else instead
+
+
+def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
+    """Return causes fitted to logs; None if the machine blows up with them."""
+    try:
+        return fit_causes(problem, causes)
+    except UserError:
+        return None
 
 
 def exchanged(problem: Problem, judge: Problem, found: Search, place: int, rival: Rival) -> Search:

@@ -131,9 +131,9 @@ def search(
         before = state.found
         screened = _screen_round(finding, state.found, known, workers, progress)
         state.tried += len(screened)
-        fitted = fit_best(finding, judging, state, screened, progress)
-        fitted += fit_exact(finding, judging, state, screened, fitted, progress)
-        fitted += fit_pairs(finding, judging, state, screened, fitted, progress)
+        fitted = fit_best(finding, judging, state, screened, progress, workers)
+        fitted += fit_exact(finding, judging, state, screened, fitted, progress, workers)
+        fitted += fit_pairs(finding, judging, state, screened, fitted, progress, workers)
         taken = _take_best(finding, judging, state, fitted)
         stands_in = not taken or _leaves_far(before, state.found)
         fresh = not together and far(state.found) and stands_in
@@ -307,7 +307,7 @@ def _choose_again(
         if item.cause.name != cause.name
     ]
     gained = 2.0 * (present.log_likelihood - found.log_likelihood)
-    fitted = [as_it_is, *fit_best(finding, judging, fewer, screened, progress, gained)]
+    fitted = [as_it_is, *fit_best(finding, judging, fewer, screened, progress, workers, gained)]
     _take_best(finding, judging, fewer, fitted)
     state.found, state.judged = fewer.found, fewer.judged
     names = {item.name for item in state.found.causes}
@@ -343,7 +343,7 @@ def _screen_round(
     ]
     toned = at_tones(problem, base, rivals)
     at_lines = [
-        *screen_lines(problem, base, rivals),
+        *screen_lines(problem, base, rivals, workers),
         *screen(
             problem, base, toned, signatures(problem, base, toned, workers, progress), of_base
         ),

@@ -4,14 +4,17 @@ The best of what was screened, fitted through the simulation beside the causes f
 
 A few of each round, each from where it promises most; then whatever promised as much as the best of
 these, for what is not fitted is no rival; in blocks that should leave nothing over, but do, whatever
-acts on these alone, and pairs of that.
+acts on these alone, and pairs of that. They are fitted side by side on all cores; which are, and in what
+order they come back, does not depend on how many cores there are.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+
+from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted, weighed
@@ -45,6 +48,7 @@ def fit_best(
     state: Search,
     screened: Sequence[Screened],
     progress: Progress,
+    workers: int = 1,
     gained: float = 0.0,
 ) -> list[Fitted]:
     """
@@ -55,35 +59,61 @@ def fit_best(
     screened = [item for item in screened if item.cause.name not in state.feigned]
     chosen = most_promising(finding, screened)
     fitted: list[Fitted] = []
-    for number, item in enumerate(chosen):
-        progress(f'fitting {item.cause.name}', number, len(chosen))
-        if item.score < HOPELESS * gained:
-            break
-        one = _fit_one(finding, judging, state, item)
-        if one is None:
+
+    def worth_it() -> Iterator[Screened]:
+        """Give what is worth a fit by what is known when a core is free."""
+        for item in chosen:
+            if item.score < HOPELESS * gained:
+                return
+            yield item
+
+    results = _fit_each(finding, judging, state, worth_it(), chosen, progress, workers)
+    for item, one in zip(chosen, results, strict=False):
+        if one is None or item.score < HOPELESS * gained:  # known only after it had begun
             continue
         fitted.append(one)
         if one.confirmed:
             gained = max(gained, 2.0 * (one.found.log_likelihood - state.found.log_likelihood))
-    for item in _as_promising(finding, state, screened, fitted):
-        progress(f'fitting {item.cause.name}', len(chosen), len(chosen))
-        one = _fit_one(finding, judging, state, item)
-        fitted += [one] if one else []
+    more = _as_promising(finding, state, screened, fitted)
+    fitted += filter(None, _fit_each(finding, judging, state, more, more, progress, workers))
+    _note_feigned(state, fitted)
     return fitted
 
 
-def _fit_one(finding: Problem, judging: Problem, state: Search, item: Screened) -> Fitted | None:
-    """Return a screened effect fitted beside the causes of `state`; None if the machine blows up."""
+def _fit_each(
+    finding: Problem,
+    judging: Problem,
+    state: Search,
+    items: Iterable[Screened],
+    chosen: Sequence[Screened],
+    progress: Progress,
+    workers: int,
+) -> Iterator[Fitted | None]:
+    """Give screened effects fitted beside the causes of `state`, in their order."""
+    base = Fitted(state.found, state.judged)
+    pool = Parallel(n_jobs=workers, return_as='generator', batch_size=1, pre_dispatch='n_jobs')
+    jobs = (delayed(_fit_one)(finding, judging, base, state.tried, item) for item in items)
+    for number, one in enumerate(pool(jobs), 1):
+        progress('fitting', number, len(chosen))
+        yield one
+
+
+def _fit_one(
+    finding: Problem, judging: Problem, base: Fitted, tried: int, item: Screened
+) -> Fitted | None:
+    """Return a screened effect fitted beside the causes of `base`; None if the machine blows up."""
     try:
-        start = _start(finding, state.found, item)
-        found = downhill(finding, start, fit_causes(finding, (*state.found.causes, start)))
+        start = _start(finding, base.found, item)
+        found = downhill(finding, start, fit_causes(finding, (*base.found.causes, start)))
         one = Fitted(found, evaluate(judging, found.causes))
     except UserError:
         return None
-    one = _weighed(finding, judging, state, one)
-    if one.feigned:
-        state.feigned.add(item.cause.name)
-    return one
+    return weighed(finding, judging, base, one, price(found, base.found, tried))
+
+
+def _note_feigned(state: Search, fitted: Sequence[Fitted]) -> None:
+    """Note what only noise in the current loop speaks for: it is not fitted again."""
+    state.feigned.update(item.found.causes[-1].name for item in fitted if item.feigned)
 
 
 def _as_promising(
@@ -117,6 +147,7 @@ def fit_exact(
     screened: Sequence[Screened],
     singles: Sequence[Fitted],
     progress: Progress,
+    workers: int = 1,
 ) -> list[Fitted]:
     """
     Fit what changes nothing but an exact block that plainly does something else, whatever it promised.
@@ -141,11 +172,9 @@ def fit_exact(
                 chosen.setdefault((cause.name, shape), item)
             elif cause.axis not in changed and cause.name not in done:
                 chosen.setdefault((cause.name, ()), item)
-    found: list[Fitted] = []
-    for number, item in enumerate(chosen.values()):
-        progress(f'fitting {item.cause.name}', number, len(chosen))
-        one = _fit_one(finding, judging, state, item)
-        found += [one] if one else []
+    each = list(chosen.values())
+    found = list(filter(None, _fit_each(finding, judging, state, each, each, progress, workers)))
+    _note_feigned(state, found)
     return found
 
 
@@ -167,6 +196,7 @@ def fit_pairs(
     screened: Sequence[Screened],
     singles: Sequence[Fitted],
     progress: Progress,
+    workers: int = 1,
 ) -> list[Fitted]:
     """
     Fit pairs of causes in blocks that leave nothing over if they are right, where singles leave some.
@@ -175,7 +205,8 @@ def fit_pairs(
     for both; with the right two the residual is zero.
     """
     best = _best_confirmed(state, singles)
-    found: list[Fitted] = []
+    pool = Parallel(n_jobs=workers, batch_size=1)
+    pairs: list[tuple[Cause, Cause]] = []
     for block in finding.exact_blocks:
         axes = finding.plain_axes(block, best.residuals[block])
         chosen: dict[str, Screened] = {}
@@ -183,23 +214,49 @@ def fit_pairs(
             alone = _touched(finding, item.cause) == (block,)
             if alone and item.score > 0.0 and item.cause.axis in axes and len(chosen) < PAIRED:
                 chosen.setdefault(item.cause.name, item)
-        pairs = [
-            pair
-            for pair in itertools.combinations(chosen.values(), 2)
-            if pair[0].cause.axis == pair[1].cause.axis
+        starts = filter(
+            None, pool(delayed(_try_start)(finding, state.found, item) for item in chosen.values())
+        )
+        pairs += [
+            (one, other)
+            for one, other in itertools.combinations(starts, 2)
+            if one.axis == other.axis
         ]
-        for number, pair in enumerate(pairs):
-            progress('fitting pairs', number, len(pairs))
-            try:
-                starts = [_start(finding, state.found, item) for item in pair]
-                both = fit_causes(finding, (*state.found.causes, *starts))
-                one = Fitted(both, evaluate(judging, both.causes))
-            except UserError:
-                continue
-            gained = 2.0 * (both.log_likelihood - best.log_likelihood)
-            if gained > price(both, best, state.tried):
-                found.append(_weighed(finding, judging, state, one))
+    base = Fitted(state.found, state.judged)
+    pool = Parallel(n_jobs=workers, batch_size=1, return_as='generator')
+    jobs = (delayed(_fit_pair)(finding, judging, base, best, state.tried, pair) for pair in pairs)
+    found: list[Fitted] = []
+    for number, one in enumerate(pool(jobs), 1):
+        progress('fitting pairs', number, len(pairs))
+        found += [one] if one else []
     return found
+
+
+def _try_start(problem: Problem, base: Hypothesis, item: Screened) -> Cause | None:
+    """Return a screened cause where its fit begins; None if the machine blows up."""
+    try:
+        return _start(problem, base, item)
+    except UserError:
+        return None
+
+
+def _fit_pair(
+    finding: Problem,
+    judging: Problem,
+    base: Fitted,
+    best: Hypothesis,
+    tried: int,
+    pair: tuple[Cause, Cause],
+) -> Fitted | None:
+    """Return a pair fitted beside the causes of `base`; None if it gains little beside `best`."""
+    try:
+        both = fit_causes(finding, (*base.found.causes, *pair))
+        one = Fitted(both, evaluate(judging, both.causes))
+    except UserError:
+        return None
+    if 2.0 * (both.log_likelihood - best.log_likelihood) <= price(both, best, tried):
+        return None
+    return weighed(finding, judging, base, one, price(both, base.found, tried))
 
 
 def most_promising(problem: Problem, screened: Sequence[Screened]) -> list[Screened]:
@@ -255,12 +312,6 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     if may_ring(problem, start) and not far(base):
         return tuned(problem, base, start)
     return start
-
-
-def _weighed(finding: Problem, judging: Problem, state: Search, item: Fitted) -> Fitted:
-    """Return a hypothesis with whether it is to be believed beside what was found so far."""
-    base = Fitted(state.found, state.judged)
-    return weighed(finding, judging, base, item, price(item.found, state.found, state.tried))
 
 
 def price(more: Hypothesis, fewer: Hypothesis, tried: int) -> float:
