@@ -67,9 +67,12 @@ class LeftOver:
         """
         Return whether there is reason to doubt a cause.
 
-        The logs disagree on its values, it seems larger in one place than in another, or it acts in
-        exact blocks alone, one of which still does something else.
+        The logs disagree on its values, it seems larger in one place than in another, it makes its axis
+        ring, but the axis still rings otherwise (where the model is near the machine: a swing has tones,
+        too), or it acts in exact blocks alone, one of which still does something else.
         """
+        if cause.effect.rings and cause.axis in self.sounding and not self.moving:
+            return True
         doubted = [item.cause for item in self.disagreeing] + [
             item.cause for item in self.unsteady
         ]
