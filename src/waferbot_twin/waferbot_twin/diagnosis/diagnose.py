@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.compile_ahead import compile_ahead
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
@@ -171,6 +172,7 @@ def diagnose(
     roomy = host(nominal)
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = offered_effects(problem, without)
+    compile_ahead(problem, effects, workers)
     found = search(problem, judge, effects, progress, workers)
     if not found.far_off:
         other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
