@@ -30,6 +30,9 @@ SCHEMA = 1
 ROUNDING = 1e-9
 """RMS residual (counts, A or V) below which nothing is left over."""
 
+HARDLY_PERCENT = 1.0
+"""Improvement of the RMS error below which it is no argument."""
+
 MOST_NAMED = 6
 """How many causes the sentence names; all of them are in the table."""
 
@@ -45,10 +48,15 @@ def sentence(diagnosis: Diagnosis) -> str:
         rest = f'; and {more} more' if more > 0 else ''
         lines.append('The machine has ' + '; '.join(parts[:MOST_NAMED]) + rest + '.')
         best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
-        if best is not None and best.improvement_percent > 0.0:
+        if best is not None and best.improvement_percent >= HARDLY_PERCENT:
             lines.append(
                 f'With it the error in logs that were not used for the fit falls by '
                 f'{best.improvement_percent:.1f} % on {TITLES[best.axis]}.'
+            )
+        elif best is not None:
+            lines.append(
+                'The RMS error in logs that were not used for the fit hardly shows it (best: '
+                f'{best.improvement_percent:+.1f} % on {TITLES[best.axis]}).'
             )
     if diagnosis.unexplained_where:
         axes = ', '.join(TITLES[axis] for axis in dict.fromkeys(diagnosis.unexplained_where))
