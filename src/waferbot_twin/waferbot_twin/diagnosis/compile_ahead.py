@@ -5,6 +5,8 @@ Compile every machine that a search will want, before it wants it.
 A machine is compiled for its numbers of links, coordinates and springs (half a minute each, then kept
 on disk): the nominal one, one with room for what gives, one with a coordinate more. Left to chance all
 cores would wait for the first, and then compile the second at the same time.
+
+Limit: only cores that share a disk find what was compiled; those of a cluster compile for themselves.
 """
 
 from __future__ import annotations
@@ -23,10 +25,9 @@ from waferbot_twin.effects.host import built
 
 def compile_ahead(problem: Problem, effects: Sequence[Effect], workers: int) -> None:
     """Compile the machines that these effects make of the nominal one, on all cores."""
-    different = machines(problem, effects)
-    if min(workers, len(different)) > 1:
+    if workers > 1:
         Parallel(n_jobs=workers, batch_size=1)(
-            delayed(_drive)(problem, causes) for causes in different
+            delayed(_drive)(problem, causes) for causes in machines(problem, effects)
         )
 
 

@@ -52,10 +52,12 @@ Sizes of the simplices in a controller, by turns. Of 18 starts near nine notches
 came to where nothing is left over from 9, these from 15.
 """
 
-
 WORTH_IT = 0.7
 """
 Share of what an axis' controller does otherwise that a cause may leave at most for simplices to go on.
+
+A notch of some bits left 0.34 where its fit ended; most wrong causes beside a false feedforward left
+0.93 to 1.02.
 """
 
 
