@@ -108,8 +108,8 @@ def test_the_delay_of_an_encoder_does_not_show_where_nothing_moves(nominal):
             ]
             # what an observer makes of white noise depends on its delay, unless that is made up for;
             # what is left is what a correction of the speed moves within the delay
-            spread = pytest.approx(spreads[0].deviations, rel=0.003 * (1.0 + delay))
-            assert spreads[1].deviations == spread
+            before, after = ([one.deviation for one in fit.colours] for fit in spreads)
+            assert after == pytest.approx(before, rel=0.003 * (1.0 + delay))
 
 
 def test_steps_of_readings_are_seen_and_small_ranges_are_not(nominal):

@@ -69,7 +69,7 @@ def test_floor_bounds_the_likelihood_of_a_perfect_fit():
     result = fit([-2.0 * shape], [shape[:, None]], [Noise(0.01, 0)])
     assert result.value[0] == pytest.approx(2.0)
     assert result.log_likelihood == pytest.approx(-500 * (np.log(0.01) - 0.5))
-    assert result.deviations == (0.01,)
+    assert [one.deviation for one in result.colours] == [0.01]
 
 
 def pair_of_encoders(random: np.random.Generator, size: int = 20000):
@@ -125,7 +125,7 @@ def test_the_second_of_a_pair_is_told_by_the_present_of_the_first():
     first = random.normal(size=50000)
     second = 0.7 * first + 0.3 * np.roll(first, 1) + 0.1 * random.normal(size=50000)
     found = likelihood([first, second], [Noise(1e-9, 2, 1), Noise(1e-9, 2, -1)])
-    assert found.filters[0].other == pytest.approx(np.zeros(3), abs=0.1)
-    assert found.filters[1].own == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
-    assert found.filters[1].other == pytest.approx([-0.7, -0.3, 0.0], abs=0.02)
-    assert found.deviations == pytest.approx((1.0, 0.1), rel=0.02)
+    assert found.colours[0].error.other == pytest.approx(np.zeros(3), abs=0.1)
+    assert found.colours[1].error.own == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
+    assert found.colours[1].error.other == pytest.approx([-0.7, -0.3, 0.0], abs=0.02)
+    assert [one.deviation for one in found.colours] == pytest.approx([1.0, 0.1], rel=0.02)

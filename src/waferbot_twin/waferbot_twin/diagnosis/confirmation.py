@@ -215,7 +215,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     shown = {block: matrix for block, matrix in own.items() if block not in exact and matrix.any()}
     if not shown:
         return ByCommand(sure, sure)
-    estimate = fit_jointly(problem, base.residuals, shown)
+    estimate = fit_jointly(problem, base.residuals, shown, known=base.fits)
     noise, with_cause = {}, {}
     for block, matrix in shown.items():
         channels = base.residuals[block]

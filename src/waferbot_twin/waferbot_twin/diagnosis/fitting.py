@@ -238,7 +238,7 @@ def linearise(
     own = _signatures(*(in_quick_steps(problem, now) if usual else (problem, now)), workers)
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
-    estimate = fit_jointly(problem, now.residuals, together)
+    estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
     system, right = whitened_jointly(now.residuals, together, estimate)
     if not usual:
         orthogonal, triangle = np.linalg.qr(system)

@@ -48,19 +48,23 @@ def fit_jointly(
     signature: Signature,
     rounds: int = 4,
     from_white: bool = False,
+    known: Mapping[str, Fit] | None = None,
 ) -> Fit:
     """
     Fit a signature to the residuals of its blocks; channels follow one another block by block.
 
+    `known` is how likely the residuals are as they stand, by block, if somebody has found that already;
     `from_white` as in `whitening.fit`.
     """
     blocks = list(signature)
+    colours = [colour for block in blocks for colour in known[block].colours] if known else []
     return fit(
         [channel for block in blocks for channel in residuals[block]],
         [part for block in blocks for part in by_channel(signature[block], residuals[block])],
         [noise for block in blocks for noise in problem.noises(block)],
         rounds,
         from_white,
+        colours,
     )
 
 
@@ -72,6 +76,5 @@ def whitened_jointly(
     return whitened(
         [channel for block in blocks for channel in residuals[block]],
         [part for block in blocks for part in by_channel(signature[block], residuals[block])],
-        estimate.filters,
-        estimate.deviations,
+        estimate.colours,
     )

@@ -425,7 +425,7 @@ def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
         channels = by_channel(matrix[:, 0], base.residuals[block])
         later = np.concatenate([hilbert(channel).imag for channel in channels])
         both[block] = np.column_stack([matrix, later])
-    found = fit_jointly(problem, base.residuals, both)
+    found = fit_jointly(problem, base.residuals, both, known=base.fits)
     return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
 
 

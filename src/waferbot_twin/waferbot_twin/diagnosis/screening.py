@@ -193,9 +193,12 @@ def screen(
             [count, *(next(iter(item.values())).shape[1] for item in beside)],
         )
         residuals = _with_change(base.residuals, change.there)
-        estimate = fit_jointly(problem, residuals, everything, rounds=2)
+        known = {} if change.there else base.fits
+        estimate = fit_jointly(problem, residuals, everything, rounds=2, known=known)
         if rival.effect.tone in rival.narrow:  # a strong tone may pass for the colour of the noise
-            other = fit_jointly(problem, residuals, everything, rounds=2, from_white=True)
+            other = fit_jointly(
+                problem, residuals, everything, rounds=2, from_white=True, known=known
+            )
             estimate = max(estimate, other, key=lambda item: item.log_likelihood)
         before = sum(base.fits[block].log_likelihood for block in shown)
         gain = 2.0 * (estimate.log_likelihood - before)

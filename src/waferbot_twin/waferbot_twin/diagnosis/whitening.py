@@ -90,6 +90,14 @@ class PredictionError:
         return left
 
 
+@dataclass(frozen=True)
+class Colour:
+    """The colour of the noise in a channel: its filter, and the deviation of what that leaves."""
+
+    error: PredictionError
+    deviation: float
+
+
 def _filter(taps: Array, channel: Array) -> Array:
     """Return the sums over k of taps[k] x[n - k], n = p ... N - 1, of every column of (N,) or (N, k)."""
     if channel.ndim == 1:
@@ -166,8 +174,8 @@ class Fit:
     A fit of residual + signature @ value = noise.
 
     `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
-    the white residual of each channel, divided by its standard deviation; `filters`, `deviations` and
-    what was known of the `noises` those of each channel.
+    the white residual of each channel, divided by its standard deviation; `colours` and what was known
+    of the `noises` those of each channel.
     """
 
     value: Array
@@ -175,8 +183,7 @@ class Fit:
     log_likelihood: float
     samples: int
     whitened: tuple[Array, ...]
-    filters: tuple[PredictionError, ...]
-    deviations: tuple[float, ...]
+    colours: tuple[Colour, ...]
     noises: tuple[Noise, ...]
 
 
@@ -186,37 +193,44 @@ def fit(
     noises: Sequence[Noise],
     rounds: int = 4,
     from_white: bool = False,
+    known: Sequence[Colour] = (),
 ) -> Fit:
     """
     Fit the signatures (N, k) of all channels to their residuals (N,).
 
     The noise is what is left of the residuals without them, at first all of it; or, `from_white`, what
     ordinary least squares leave, as if it were white: a strong tone would be taken for its colour.
+    `known` is the colour of the residuals as they stand, channel by channel, if somebody has it already.
     """
     count = signatures[0].shape[1]
     value: Array = np.zeros(count)
     if not count:
         return _result(residuals, value, np.zeros((0, 0)), noises)
+    standing = known or _colours(residuals, noises)
+    # What no signature changes keeps its colour.
+    changes = [
+        bool(signatures[place].any() or (noise.beside and signatures[place + noise.beside].any()))
+        for place, noise in enumerate(noises)
+    ]
     if from_white:
         solution, *_ = np.linalg.lstsq(
             np.vstack(signatures), -np.concatenate(residuals), rcond=1e-10
         )
         value = np.asarray(solution)
-    for _ in range(rounds):
-        left = _left(residuals, signatures, value)
-        filters = [_prediction_error(left, place, noise) for place, noise in enumerate(noises)]
-        deviations = [
-            max(float(np.sqrt(np.mean(white**2))), noise.floor)
-            for white, noise in zip(_filtered(filters, left), noises, strict=True)
-        ]
-        matrix, right = whitened(residuals, signatures, filters, deviations)
+    for number in range(rounds):
+        colours = standing
+        if number or from_white:
+            colours = _colours(_left(residuals, signatures, value), noises, standing, changes)
+        matrix, right = whitened(residuals, signatures, colours)
         scale = np.sqrt(np.sum(matrix**2, axis=0))
         scale[scale == 0.0] = 1.0
         solution, *_ = np.linalg.lstsq(matrix / scale, right, rcond=1e-10)
         value = solution / scale
     inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
     covariance = inverse / np.outer(scale, scale)
-    return _result(_left(residuals, signatures, value), value, covariance, noises)
+    return _result(
+        _left(residuals, signatures, value), value, covariance, noises, standing, changes
+    )
 
 
 def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:
@@ -228,63 +242,70 @@ def _left(residuals: Sequence[Array], signatures: Sequence[Array], value: Array)
     return [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
 
 
-def _filtered(filters: Sequence[PredictionError], channels: Sequence[Array]) -> list[Array]:
-    return [one(channels, place) for place, one in enumerate(filters)]
+def _colours(
+    left: Sequence[Array],
+    noises: Sequence[Noise],
+    known: Sequence[Colour] = (),
+    changed: Sequence[bool] = (),
+) -> list[Colour]:
+    """Return the colour of what is left of every channel; it is `known` of those not `changed`."""
+    found = []
+    for place, noise in enumerate(noises):
+        if known and not changed[place]:
+            found.append(known[place])
+            continue
+        error = _prediction_error(left, place, noise)
+        square = float(np.mean(error(left, place) ** 2))
+        found.append(Colour(error, max(math.sqrt(square), noise.floor)))
+    return found
 
 
 def whitened(
-    residuals: Sequence[Array],
-    signatures: Sequence[Array],
-    filters: Sequence[PredictionError],
-    deviations: Sequence[float],
+    residuals: Sequence[Array], signatures: Sequence[Array], colours: Sequence[Colour]
 ) -> tuple[Array, Array]:
     """
     Return the rows A (N, k) and b (N,) of all channels, white and with a standard deviation of one.
 
     The value x that explains the residuals best is where |A x - b|^2 is least.
     """
-    rows = in_deviations(filters, deviations, signatures)
-    right = in_deviations(filters, deviations, residuals)
+    rows = in_deviations(colours, signatures)
+    right = in_deviations(colours, residuals)
     return np.vstack(rows), -np.concatenate(right)
 
 
-def in_deviations(
-    filters: Sequence[PredictionError], deviations: Sequence[float], channels: Sequence[Array]
-) -> list[Array]:
+def in_deviations(colours: Sequence[Colour], channels: Sequence[Array]) -> list[Array]:
     """Return channels, (N,) or (N, k), each filtered and in its standard deviations."""
-    return [
-        white / deviation
-        for white, deviation in zip(_filtered(filters, channels), deviations, strict=True)
-    ]
+    return [one.error(channels, place) / one.deviation for place, one in enumerate(colours)]
 
 
 def _result(
-    left: Sequence[Array], value: Array, covariance: Array, noises: Sequence[Noise]
+    left: Sequence[Array],
+    value: Array,
+    covariance: Array,
+    noises: Sequence[Noise],
+    known: Sequence[Colour] = (),
+    changed: Sequence[bool] = (),
 ) -> Fit:
-    """Judge what is left over: filter, variance and likelihood."""
+    """Judge what is left over: colour, variance and likelihood."""
     log_likelihood, samples = 0.0, 0
-    filters = [_prediction_error(left, place, noise) for place, noise in enumerate(noises)]
-    in_units, deviations = [], []
-    for white, noise in zip(_filtered(filters, left), noises, strict=True):
-        square = float(np.mean(white**2))
-        deviation = max(math.sqrt(square), noise.floor)
-        above = square / deviation**2 - 1.0  # zero unless the floor holds the deviation up
-        log_likelihood -= len(white) * (math.log(deviation) + 0.5 * above)
+    colours = _colours(left, noises, known, changed)
+    in_units = in_deviations(colours, left)
+    for white, colour in zip(in_units, colours, strict=True):
+        # <w^2> is s^2, unless the floor holds the deviation up
+        above = float(np.mean(white**2)) - 1.0
+        log_likelihood -= len(white) * (math.log(colour.deviation) + 0.5 * above)
         samples += len(white)
-        in_units.append(white / deviation)
-        deviations.append(deviation)
     return Fit(
         value,
         covariance,
         log_likelihood,
         samples,
         tuple(in_units),
-        tuple(filters),
-        tuple(deviations),
+        tuple(colours),
         tuple(noises),
     )
 
 
 def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:
     """Return channels, (N,) or (N, k), filtered as a fit found for them, in their deviations."""
-    return in_deviations(fit.filters, fit.deviations, channels)
+    return in_deviations(fit.colours, channels)

@@ -63,8 +63,8 @@ class Whitening:
         self._fit = fit
         self._powers: list[Array | None] = [None] * len(channels)
         self._powers = [
-            spectrum(white) if one.order else None
-            for white, one in zip(self(channels), fit.filters, strict=True)
+            spectrum(white) if one.error.order else None
+            for white, one in zip(self(channels), fit.colours, strict=True)
         ]
 
     def __call__(self, channels: Sequence[Array]) -> list[Array]:

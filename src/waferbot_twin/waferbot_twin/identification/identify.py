@@ -136,7 +136,7 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                         float(np.sqrt(np.mean(before**2))),
                         float(np.sqrt(np.mean(after**2))),
                         _whiteness(
-                            part, name, fitted.whitened[place], fitted.filters[place].order
+                            part, name, fitted.whitened[place], fitted.colours[place].error.order
                         ),
                     )
                 )
