@@ -23,13 +23,13 @@ from waferbot_twin.diagnosis.compile_ahead import compile_ahead
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, standard_errors
-from waferbot_twin.diagnosis.last_bits import same_bits
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, standard_errors
+from waferbot_twin.diagnosis.intervals import Intervals, intervals_95
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array, Record
+from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
@@ -55,9 +55,6 @@ Confidence at most in a cause that leaves some over in a block where a right one
 whose values the logs disagree.
 """
 
-NORMAL_95 = 1.96
-"""Standard errors to either side of a normally distributed estimate that hold 95 % of all."""
-
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""
 
@@ -76,13 +73,13 @@ class FoundCause:
     """
     A cause with its evidence: gain, and what it cannot be told from.
 
-    `reach_95` is how far the 95 % interval of each parameter reaches to either side of its value; one
-    that was chosen from a few has none.
+    `intervals_95` are the ends of the 95 % interval of each parameter; one that was chosen from a few
+    has none.
     """
 
     cause: Cause
     parameters: tuple[Parameter, ...]
-    reach_95: dict[str, float]
+    intervals_95: Intervals
     delta_bic: float
     confidence: float
     alike: tuple[Alike, ...]
@@ -309,13 +306,8 @@ def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[Found
     errors = standard_errors(found.found)
     result, first = [], 0
     for place, cause in enumerate(found.found.causes):
-        parameters = parameters_of(problem, cause)
-        own = _reach_95(
-            parameters,
-            errors[first : first + len(parameters)],
-            same_bits(problem, found.found, place),
-        )
-        first += len(parameters)
+        own = errors[first : first + cause.free]
+        first += cause.free
         rivals = found.rivals.get(cause.name, [])
         confidence = _confidence(rivals, len(found.found.causes))
         if rest.in_doubt(cause, problem):
@@ -324,19 +316,13 @@ def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[Found
             FoundCause(
                 cause,
                 cause.effect.parameters(problem.nominal, cause.axis),
-                own,
+                intervals_95(problem, found.found, place, own, found.trials.get(cause.name, [])),
                 float(found.gains.get(cause.name, 0.0)),
                 confidence,
                 tuple(_alike(problem, found, cause, rivals)),
             )
         )
     return sorted(result, key=lambda item: -item.delta_bic)
-
-
-def _reach_95(parameters: Sequence[Parameter], errors: Array, same: Array) -> dict[str, float]:
-    """Return how far intervals reach: as far as noise does, and beyond that what changes no bit."""
-    each = zip(parameters, errors, same, strict=False)
-    return {item.name: float(NORMAL_95 * error + more) for item, error, more in each}
 
 
 def _alike(

@@ -30,6 +30,9 @@ SCHEMA = 1
 ROUNDING = 1e-9
 """RMS residual (counts, A or V) below which nothing is left over."""
 
+NO_INTERVAL = (math.nan, math.nan)
+"""The ends of the interval of a parameter that has none: null in JSON."""
+
 HARDLY_PERCENT = 1.0
 """Improvement of the RMS error below which it is no argument."""
 
@@ -115,9 +118,13 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
 
 def uncertainty(found: FoundCause, parameter: Parameter) -> str:
     """Return the interval of a parameter as text."""
-    if parameter.name in found.cause.held:
-        return '(chosen from a few)'
-    return f'± {significant(found.reach_95.get(parameter.name, math.nan), 2)}'
+    if parameter.name not in found.intervals_95:
+        return '(chosen from a few)' if parameter.name in found.cause.held else '± -'
+    value, (low, high) = found.cause.values[parameter.name], found.intervals_95[parameter.name]
+    below, above = value - low, high - value
+    if math.isclose(below, above, rel_tol=0.01, abs_tol=1e-9 * abs(value)):
+        return f'± {significant(above, 2)}'
+    return f'({significant(low)} to {significant(high)})'
 
 
 def _cause(found: FoundCause) -> dict[str, Any]:
@@ -130,8 +137,8 @@ def _cause(found: FoundCause) -> dict[str, Any]:
             item.name: {
                 'value': found.cause.values[item.name],
                 'unit': item.unit,
-                'low95': found.cause.values[item.name] - found.reach_95.get(item.name, math.nan),
-                'high95': found.cause.values[item.name] + found.reach_95.get(item.name, math.nan),
+                'low95': found.intervals_95.get(item.name, NO_INTERVAL)[0],
+                'high95': found.intervals_95.get(item.name, NO_INTERVAL)[1],
             }
             for item in found.parameters
         },

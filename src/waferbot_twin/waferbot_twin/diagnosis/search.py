@@ -33,6 +33,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import fit_causes, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
+from waferbot_twin.diagnosis.intervals import AS_LIKELY
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.resonances import screen_lines
 from waferbot_twin.diagnosis.screening import (
@@ -119,6 +120,7 @@ def search(
             state.found = fit_causes(finding, causes, workers=workers)
         state.judged = evaluate(judging, state.found.causes)
         state.gains, state.rivals = dict(known_causes.gains), dict(known_causes.rivals)
+        state.trials = dict(known_causes.trials)
         state.feigned = set(known_causes.feigned)
     at_first = len(state.found.causes)
     known = _Known(
@@ -132,6 +134,7 @@ def search(
         screened = _screen_round(finding, state.found, known, workers, progress)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress, workers)
+        _note_trials(state, fitted)
         fitted += fit_exact(finding, judging, state, screened, fitted, progress, workers)
         fitted += fit_pairs(finding, judging, state, screened, fitted, progress, workers)
         taken = _take_best(finding, judging, state, fitted)
@@ -307,8 +310,9 @@ def _choose_again(
         if item.cause.name != cause.name
     ]
     gained = 2.0 * (present.log_likelihood - found.log_likelihood)
-    fitted = [as_it_is, *fit_best(finding, judging, fewer, screened, progress, workers, gained)]
-    _take_best(finding, judging, fewer, fitted)
+    fitted = fit_best(finding, judging, fewer, screened, progress, workers, gained)
+    _note_trials(fewer, fitted)
+    _take_best(finding, judging, fewer, [as_it_is, *fitted])
     state.found, state.judged = fewer.found, fewer.judged
     names = {item.name for item in state.found.causes}
     state.gains = {name: gain for name, gain in fewer.gains.items() if name in names}
@@ -390,6 +394,21 @@ def _rivals(taken: Fitted, fitted: Sequence[Fitted]) -> list[Rival]:
             rivals.setdefault(rival.cause.name, rival)
     rivals.pop(taken.found.causes[-1].name, None)
     return list(rivals.values())
+
+
+def _note_trials(state: Search, fitted: Sequence[Fitted]) -> None:
+    """Note for every cause which of the trials that it was fitted from do as well as the best."""
+    by_name: dict[str, list[Hypothesis]] = {}
+    for item in fitted:
+        if item.confirmed and len(item.found.causes) == len(state.found.causes) + 1:
+            by_name.setdefault(item.found.causes[-1].name, []).append(item.found)
+    for name, trials in by_name.items():
+        best = max(trials, key=lambda found: found.log_likelihood)
+        state.trials[name] = [
+            found.causes[-1]
+            for found in trials
+            if found is not best and 2.0 * (best.log_likelihood - found.log_likelihood) < AS_LIKELY
+        ]
 
 
 def _released(finding: Problem, judging: Problem, taken: Fitted) -> Fitted:

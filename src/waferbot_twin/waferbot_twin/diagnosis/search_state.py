@@ -74,8 +74,9 @@ class Search:
 
     `found` and `judged` are the causes in the logs for finding and for judging; `nothing` and
     `judged_nothing` the nominal model there; `gains` what each cause gained in Schwarz' criterion,
-    `rivals` what was fitted in its place; `feigned` names what noise made: it is not fitted again;
-    `far_off` tells whether what is left is too large for noise: nothing more can be told from it.
+    `rivals` what was fitted in its place; `trials` of all that was fitted from several, those that
+    explain the logs for finding as well as its best; `feigned` names what noise made: it is not fitted
+    again; `far_off` tells whether what is left is too large for noise: nothing more can be told from it.
     """
 
     found: Hypothesis
@@ -84,6 +85,7 @@ class Search:
     judged_nothing: Hypothesis
     gains: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, list[Rival]] = field(default_factory=dict)
+    trials: dict[str, list[Cause]] = field(default_factory=dict)
     feigned: set[str] = field(default_factory=set)
     far_off: bool = False
     tried: int = 0
