@@ -12,7 +12,9 @@ import sys
 import pytest
 from harness import PATIENCE_S, waferbot
 
-COMMANDS = ('run', 'replay', 'info', 'plot', 'demo')
+from waferbot_twin.cli.main import COMMANDS as MODULES
+
+COMMANDS = tuple(MODULES)
 FAST = ('run', '--engine', 'inprocess', '--duration', '0.01')
 
 pytestmark = pytest.mark.slow
@@ -38,6 +40,18 @@ def test_each_command_has_help(command):
     result = waferbot(command, '--help')
     assert result.returncode == 0
     assert 'usage: waferbot ' + command in result.stdout
+
+
+def test_the_compiler_is_not_loaded_to_say_what_there_is():
+    asked = (
+        'import sys; from waferbot_twin.cli import main\n'
+        'try: main(["--help"])\n'
+        'except SystemExit: print("compiler" if "numba" in sys.modules else "no compiler")'
+    )
+    result = subprocess.run(
+        [sys.executable, '-c', asked], capture_output=True, text=True, timeout=PATIENCE_S
+    )
+    assert result.stdout.splitlines()[-1] == 'no compiler', result.stderr
 
 
 @pytest.mark.parametrize('engine', ['inprocess', 'composed'])

@@ -14,8 +14,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from scipy.optimize import brentq
-
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.parts.checks import require_not_negative, require_positive
 from waferbot_plant.parts.vibration import free_pair_frequency, series_stiffness
@@ -104,6 +102,10 @@ def centre_distance_m(belt: Belt) -> float:
             f'belt: length_m is {belt.length_m!r}; around pulleys of {belt.drive_pulley_teeth} '
             f'and {belt.driven_pulley_teeth} teeth it must be more than {shortest:.4g} m.'
         )
+    from scipy.optimize import (
+        brentq,
+    )  # half a second in every process that simulates; needed by few
+
     return float(
         brentq(
             lambda distance: belt_length_m(distance, first, second) - belt.length_m,
