@@ -49,14 +49,15 @@ lint: build
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 
-# Tests of the packages run on all cores; those of whole runs over ROS one after another.
+# Side by side on all cores, but for those that ask for the wall clock or a certain ROS domain.
 test: lint
 	$(RUN) pytest $(SIDE_BY_SIDE) src
-	$(RUN) pytest tests
+	$(RUN) pytest $(SIDE_BY_SIDE) -m 'not alone' tests
+	$(RUN) pytest -m alone tests
 
 test-fast: lint
 	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) src
-	$(RUN) pytest -m 'not slow' tests
+	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) tests
 
 bench: build
 	$(RUN) python tests/bench/bench_engines.py

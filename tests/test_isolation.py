@@ -16,7 +16,7 @@ from waferbot_twin.engines.domain import Domain
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 
 def test_two_twins_at_once_do_not_disturb_each_other(start, recorded, tmp_path):

@@ -16,7 +16,7 @@ from waferbot_msgs.msg import PhaseCurrents, PhaseVoltages
 FACTOR = 0.02
 TICKS_PER_SECOND = FACTOR * 18000
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.alone]
 
 
 class FreePeer:
