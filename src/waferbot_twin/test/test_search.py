@@ -17,7 +17,7 @@ from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause
 from waferbot_twin.diagnosis.screening import Screened
-from waferbot_twin.diagnosis.search import _Known, _revise, _take_best
+from waferbot_twin.diagnosis.search import _revise, _take_best
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -98,12 +98,10 @@ class World:
             Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
             for name in sorted({name for key in log_likelihoods for name in key.split()})
         ]
-        self.known = _Known(self.every, [], ())
         self.asked = []
         for module in (search, shortlist):
             monkeypatch.setattr(module, 'fit_causes', lambda _, causes: self.hypothesis(causes))
             monkeypatch.setattr(module, 'evaluate', lambda _, causes: self.hypothesis(causes))
-        monkeypatch.setattr(search, '_screen_round', self.screened)
         monkeypatch.setattr(shortlist, '_start', lambda problem, base, item: item.cause)
         monkeypatch.setattr(shortlist, 'weighed', lambda *rest: replace(rest[3], confirmed=True))
         self.promising = promising
@@ -120,11 +118,12 @@ class World:
         np.fill_diagonal(covariance, 1.0)
         return Hypothesis(tuple(causes), {}, {'plant': fit}, covariance)
 
-    def screened(self, problem, base, known, *rest):
+    def screen(self, base):
+        """Stand in for the rounds of screening."""
         taken = {cause.name for cause in base.causes}
         return [
             Screened(cause, self.promising, np.zeros(1))
-            for cause in known.candidates
+            for cause in self.every
             if cause.name not in taken
         ]
 
@@ -143,7 +142,7 @@ def test_a_cause_that_stood_in_for_two_gives_way_once_the_other_is_known(monkeyp
     by_name = {cause.effect.name: cause for cause in world.every}
     first = world.hypothesis([by_name['coulomb_friction'], by_name['constant_force']])
     state = Search(first, first, world.hypothesis([]), world.hypothesis([]))
-    _revise(world, world, state, world.known, 1, lambda *rest: None)
+    _revise(world, world, state, world, 1, lambda *rest: None)
     names = {cause.effect.name for cause in state.found.causes}
     assert names == {'viscous_friction', 'constant_force'}
     assert state.gains.keys() == {cause.name for cause in state.found.causes}
@@ -157,7 +156,7 @@ def test_causes_that_do_not_bend_each_other_are_not_chosen_again(monkeypatch):
     both = world.hypothesis(world.every)
     state = Search(both, both, both, both)
     world.asked.clear()
-    _revise(world, world, state, world.known, 1, lambda *rest: None)
+    _revise(world, world, state, world, 1, lambda *rest: None)
     assert not world.asked
     assert state.found is both
 

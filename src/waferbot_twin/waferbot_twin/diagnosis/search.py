@@ -25,25 +25,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted
 from waferbot_twin.diagnosis.fitting import fit_causes, names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.intervals import AS_LIKELY
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.resonances import screen_lines
-from waferbot_twin.diagnosis.screening import (
-    Change,
-    Progress,
-    Screened,
-    candidates,
-    screen,
-    signatures,
-)
+from waferbot_twin.diagnosis.screening import Progress, candidates
+from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search_state import (
     TELLS_APART,
     Rival,
@@ -63,11 +56,7 @@ from waferbot_twin.diagnosis.together import (
     unpredictable_parts,
     usual_causes,
 )
-from waferbot_twin.diagnosis.tones import at_tones
 from waferbot_twin.effects.effect import Effect
-
-ANEW = 30
-"""How many signatures are found anew once a cause is known."""
 
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""
@@ -77,21 +66,6 @@ REVISIONS, MOST_REVISED = 8, 4
 
 BENT = 0.1
 """Correlation of estimates from which on one cause may have bent another."""
-
-
-@dataclass(frozen=True)
-class _Known:
-    """All candidates, and what each changes beside the causes that were known when that was found."""
-
-    candidates: Sequence[Cause]
-    changes: Sequence[Change | None]
-    beside: tuple[Cause, ...]
-
-    def changed(self, problem: Problem, causes: Sequence[Cause]) -> set[str]:
-        """Return the blocks in which other causes are known now."""
-        then, now = ({cause.name: cause for cause in some} for some in (self.beside, causes))
-        others = [(then | now)[name] for name in sorted(then.keys() ^ now.keys())]
-        return {block for cause in others for block in problem.touched(cause.effect, cause.axis)}
 
 
 def search(
@@ -110,7 +84,6 @@ def search(
     anew, too.
     """
     effects = list(effects)
-    every = candidates(finding, effects)
     nothing, judged_nothing = evaluate(finding), evaluate(judging)
     state = Search(nothing, judged_nothing, nothing, judged_nothing)
     if known_causes:
@@ -123,15 +96,11 @@ def search(
         state.trials = dict(known_causes.trials)
         state.feigned = set(known_causes.feigned)
     at_first = len(state.found.causes)
-    known = _Known(
-        every,
-        signatures(finding, state.found, every, workers, progress),
-        state.found.causes,
-    )
+    rounds = Rounds(finding, state.found, candidates(finding, effects), progress, workers)
     together = False
     for _ in range(MOST_ROUNDS):
         before = state.found
-        screened = _screen_round(finding, state.found, known, workers, progress)
+        screened = rounds.screen(state.found)
         state.tried += len(screened)
         fitted = fit_best(finding, judging, state, screened, progress, workers)
         _note_trials(state, fitted)
@@ -152,7 +121,7 @@ def search(
     if known_causes and len(state.found.causes) == at_first:
         return state
     _confirm(finding, judging, state, progress, workers)
-    _revise(finding, judging, state, known, workers, progress)
+    _revise(finding, judging, state, rounds, workers, progress)
     state.far_off = far(state.found)
     return state
 
@@ -243,7 +212,7 @@ def _revise(
     finding: Problem,
     judging: Problem,
     state: Search,
-    known: _Known,
+    rounds: Rounds,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -266,7 +235,7 @@ def _revise(
         if not open_ones:
             return
         beside = _names_beside(causes, open_ones[0])
-        _choose_again(finding, judging, state, open_ones[0], known, workers, progress)
+        _choose_again(finding, judging, state, open_ones[0], rounds, workers, progress)
         settled |= {
             (cause.name, beside) for cause in state.found.causes if cause.name not in beside
         }
@@ -291,7 +260,7 @@ def _choose_again(
     judging: Problem,
     state: Search,
     cause: Cause,
-    known: _Known,
+    rounds: Rounds,
     workers: int,
     progress: Progress,
 ) -> None:
@@ -304,11 +273,7 @@ def _choose_again(
         as_it_is = Fitted(present, evaluate(judging, present.causes), confirmed=True)
     except UserError:  # the machine does not stand without it
         return
-    screened = [
-        item
-        for item in _screen_round(finding, found, known, workers, progress)
-        if item.cause.name != cause.name
-    ]
+    screened = [item for item in rounds.screen(found) if item.cause.name != cause.name]
     gained = 2.0 * (present.log_likelihood - found.log_likelihood)
     fitted = fit_best(finding, judging, fewer, screened, progress, workers, gained)
     _note_trials(fewer, fitted)
@@ -317,42 +282,6 @@ def _choose_again(
     names = {item.name for item in state.found.causes}
     state.gains = {name: gain for name, gain in fewer.gains.items() if name in names}
     state.rivals = {name: rivals for name, rivals in fewer.rivals.items() if name in names}
-
-
-def _screen_round(
-    problem: Problem,
-    base: Hypothesis,
-    known: _Known,
-    workers: int,
-    progress: Progress,
-) -> list[Screened]:
-    """Screen what is not yet among the causes; signatures that these change are found anew."""
-    taken = {cause.name for cause in base.causes}
-    places = [place for place, cause in enumerate(known.candidates) if cause.name not in taken]
-    of_base = [signature(problem, base, base.causes, place) for place in range(len(base.causes))]
-    rivals = [known.candidates[place] for place in places]
-    screened = screen(problem, base, rivals, [known.changes[place] for place in places], of_base)
-    changed = known.changed(problem, base.causes)
-    stale = [
-        item.cause
-        for item in screened
-        if changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
-    ][:ANEW]
-    fresh = signatures(problem, base, stale, workers, progress)
-    anew = screen(problem, base, stale, fresh, of_base)
-    kept = [
-        item
-        for item in screened
-        if not changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
-    ]
-    toned = at_tones(problem, base, rivals)
-    at_lines = [
-        *screen_lines(problem, base, rivals, workers),
-        *screen(
-            problem, base, toned, signatures(problem, base, toned, workers, progress), of_base
-        ),
-    ]
-    return sorted([*anew, *kept, *at_lines], key=lambda item: (-item.score, item.cause.name))
 
 
 def _take_best(

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Round after round of screening: nothing is asked twice, and nothing else comes out."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis import screening_rounds
+from waferbot_twin.diagnosis.from_recording import record_of_signals
+from waferbot_twin.diagnosis.hypothesis import evaluate
+from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.screening import candidates
+from waferbot_twin.diagnosis.screening_rounds import Rounds
+from waferbot_twin.effects import find
+from waferbot_twin.effects.host import built, host
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+
+EFFECTS = (
+    'coulomb_friction',
+    'viscous_friction',
+    'wrong_bias',
+    'wrong_proportional_gain',
+    'notch',
+)
+
+pytestmark = pytest.mark.slow
+
+
+def quiet(what, done, total):
+    """Show no progress."""
+
+
+@pytest.fixture(scope='module')
+def problem():
+    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    hidden = (
+        Cause(find('wrong_bias'), 'x_rotate', {'difference': 40.0}),
+        Cause(find('coulomb_friction'), 'x_rotate', {'friction': 0.5}),
+    )
+    variant = apply_all(nominal, hidden)
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('random_x_rotate'), twin.servo_parameters, timing.servo_hz
+    )
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.4)))])
+
+
+def told(screened):
+    return [(item.cause.name, item.cause.values, item.score, *item.value) for item in screened]
+
+
+def test_beside_a_wrong_setting_the_plant_is_not_asked_again(problem, monkeypatch):
+    asked = []
+
+    def screen(problem, base, rivals, *rest):
+        asked.extend(rival.name for rival in rivals)
+        return screening(problem, base, rivals, *rest)
+
+    def screen_lines(problem, base, rivals, workers):
+        asked.append('lines')
+        return lines(problem, base, rivals, workers)
+
+    screening, lines = screening_rounds.screen, screening_rounds.screen_lines
+    monkeypatch.setattr(screening_rounds, 'screen', screen)
+    monkeypatch.setattr(screening_rounds, 'screen_lines', screen_lines)
+    every = candidates(problem, [find(name) for name in EFFECTS])
+    bias = Cause(find('wrong_bias'), 'x_rotate', {'difference': 40.0})
+    friction = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 0.5})
+    nothing, setting, both = (
+        evaluate(problem, causes) for causes in ((), (bias,), (bias, friction))
+    )
+
+    rounds = Rounds(problem, nothing, every, quiet, 1)
+    first = rounds.screen(nothing)
+    assert first[0].cause.name in (bias.name, friction.name)
+    assert 'lines' in asked
+    asked.clear()
+    second = rounds.screen(setting)
+    assert asked
+    assert 'lines' not in asked
+    of_plant = {item.name for item in every if PLANT in problem.touched(item.effect, item.axis)}
+    assert of_plant
+    assert not of_plant.intersection(asked)
+    assert second[0].cause.name == friction.name
+    asked.clear()
+    third = rounds.screen(both)
+    assert of_plant - {friction.name} <= set(asked)
+
+    # Without what was remembered the same comes out, to the last bit.
+    for causes, remembered in ((setting, second), (both, third)):
+        alone = Rounds(problem, nothing, every, quiet, 1)
+        assert told(alone.screen(causes)) == told(remembered)
+    asked.clear()
+    assert told(rounds.screen(setting)) == told(second)
+    assert not asked
