@@ -102,9 +102,8 @@ def centre_distance_m(belt: Belt) -> float:
             f'belt: length_m is {belt.length_m!r}; around pulleys of {belt.drive_pulley_teeth} '
             f'and {belt.driven_pulley_teeth} teeth it must be more than {shortest:.4g} m.'
         )
-    from scipy.optimize import (
-        brentq,
-    )  # half a second in every process that simulates; needed by few
+    # Imported here, as it takes half a second of every process that simulates, and few have a belt.
+    from scipy.optimize import brentq
 
     return float(
         brentq(

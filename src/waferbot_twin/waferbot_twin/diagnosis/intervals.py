@@ -4,8 +4,8 @@
 
 Where the logs tell a parameter, noise moves its estimate by 1.96 standard errors; in a block that
 calculates in whole numbers it can go on beyond that until another bit differs. Where they tell nothing
-of it (how long a drive takes to fold back, if the logs only show that it has), its standard error is
-zero, and it can go as far, the others as they are, as the logs become by no more than
+of it (how long a drive takes to fold back, where it never had to), its standard error is zero, and it
+can go as far, the others as they are, as the logs become by no more than
 
     2 (ln L_best - ln L) = 3.84
 
@@ -38,7 +38,7 @@ FINEST, COARSER = 0.01, 1.5
 """First step of a parameter of which the logs may tell nothing, as a share of its value; its growth."""
 
 HALVINGS = 6
-"""How often the last step is halved to find the end: to a fiftieth of how far that is."""
+"""How often the last step is halved to find the end: to a hundredth of how far that is."""
 
 Intervals = dict[str, tuple[float, float]]
 """By name of a parameter, the ends of its interval."""

@@ -2,7 +2,7 @@
 """
 From residuals to causes.
 
-1. **Screen** (`screening`): every effect on every axis, linearly.
+1. **Screen** (`screening_rounds`): every effect on every axis, linearly.
 2. **Fit** (`shortlist`, `fitting`): the best few through the simulation, with all causes found so
    far; in pairs, too, where a block that should leave nothing over still does.
 3. **Decide.** The best one is taken if the logarithm of its likelihood pays for its parameters and for

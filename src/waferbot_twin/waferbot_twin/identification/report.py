@@ -15,17 +15,16 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
-from scipy import stats
 
 from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
+from waferbot_twin.diagnosis.intervals import NORMAL_95
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.conditioning import Combination, in_words
 from waferbot_twin.identification.identify import Identification
 from waferbot_twin.recording.writer import as_json
 
 SCHEMA = 1
-NORMAL_95 = float(stats.norm.ppf(0.975))
 MOST_CHANNELS = 8
 """Channels whose autocorrelation is drawn."""
 
