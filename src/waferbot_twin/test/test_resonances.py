@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.modes import coupled_modes
+from waferbot_plant.modes import Mode, coupled_modes
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
@@ -20,6 +20,7 @@ from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.resonances import (
     TUNING,
     Line,
+    _agrees,
     _folded,
     _in_continuous_time,
     lines,
@@ -114,6 +115,27 @@ def test_a_line_is_looked_for_where_samples_fold_it():
         higher = (frequency_hz + 1.0) % RATE_HZ
         assert min(higher, RATE_HZ - higher) == pytest.approx(line.frequency_hz + sign)
     assert max(frequency for frequency, _ in _folded(line, 3000.0)) < 3000.0
+
+
+@pytest.mark.parametrize(
+    ('other', 'may'), [(0.0, True), (0.3, True), (-0.3, True), (300.0, False)]
+)
+def test_a_mode_that_would_show_more_in_another_encoder_made_no_line(other, may):
+    seed = 20261126
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    time_s = np.arange(4500) / RATE_HZ
+    ringing = random.normal(0.0, 1.0, 4500) + 0.5 * np.sin(2.0 * np.pi * 612.0 * time_s)
+    problem, base = left_over({'y_linear': ringing, 'x_rotate': random.normal(0.0, 1.0, 4500)})
+    encoders = {
+        'y_linear': SimpleNamespace(coordinate='slide', counts_per_unit=100.0),
+        'x_rotate': SimpleNamespace(coordinate='arm', counts_per_unit=-50.0),
+    }
+    problem.nominal = SimpleNamespace(description=SimpleNamespace(encoders=encoders))
+    (line,) = lines(problem, base)
+    mode = Mode(612.0, 0.0, {'slide': 1.0, 'arm': 2.0 * other}, {})
+    assert _agrees(problem, base, mode, line) == may
+    assert not _agrees(problem, base, replace(mode, shape={'slide': 0.0, 'arm': 1.0}), line)
 
 
 def log_of(variant, duration_s):

@@ -12,10 +12,11 @@ has
 
 So each compliance is tried where one of its modes is on a line, also on one that is folded about
 multiples of half the rate of the samples (the mechanism is faster); first by the modes of the machine,
-which the steps of the simulation in time make lower, then corrected by the line that it shows. Where
-that changes about as much as the line has, values close by are tried, each in whatever phase suits
-best: so the ring has to be coherent for as long as it lasts only, not the same to a part of a cycle.
-From the best one a fit finds the rest.
+which the steps of the simulation in time make lower, then corrected by the line that it shows. A mode
+that would show more in another encoder than that one has is not tried. Where a value changes about as
+much as the line has, others close by are tried, each in whatever phase suits best: so the ring has to
+be coherent for as long as it lasts only, not the same to a part of a cycle. From the best one a fit
+finds the rest.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from scipy.signal import hilbert, spectrogram
 from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant.modes import coupled_modes
+from waferbot_plant.modes import Mode, coupled_modes
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, whole_change
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ
@@ -74,6 +75,9 @@ of it is shaken by more than the right one is.
 NEAR = 0.06
 """Share of a frequency that the observer, and what other parts give, may move a line."""
 
+SAME_RATE = 1e-6
+"""Share by which rates of samples may differ that are the same."""
+
 FOLDS = 2
 """Up to which multiple of the rate of the samples a ring may lie."""
 
@@ -108,6 +112,12 @@ ENOUGH = 1.0
 
 PLAINLY = 10.0
 """Gain in 2 ln L from which on another value is plainly better."""
+
+FAINTLY = 4.0
+"""
+Gain in 2 ln L below which no value about one that may have made a brief line is tried more closely:
+what the best of so many values gains in noise, each in the phase that suits.
+"""
 
 
 @dataclass(frozen=True)
@@ -228,7 +238,7 @@ def _spectrum(
     for own, rate, channel in every:
         if own != name or len(channel) < length:
             continue
-        if rate_hz and abs(rate / rate_hz - 1.0) > 1e-6:
+        if rate_hz and abs(rate / rate_hz - 1.0) > SAME_RATE:
             continue
         rate_hz = rate
         frequency_hz, _, power = spectrogram(
@@ -264,16 +274,56 @@ def _at_lines(
     (parameter,) = parameters_of(problem, cause)
     typical = cause.with_values({parameter.name: parameter.typical})
     step_s = problem.records[0].timing.tick_s
+    begun: list[Cause] = []
     tried: list[tuple[Cause, float]] = []
-    for mode_hz, line in itertools.product(_own_modes(problem, base, typical), found):
+    for mode, line in itertools.product(_own_modes(problem, base, typical), found):
+        if not _agrees(problem, base, mode, line):
+            continue
         for frequency_hz, sign in _folded(line, 0.5 / step_s):
-            value = parameter.typical * (mode_hz / _in_continuous_time(frequency_hz, step_s)) ** 2
-            if parameter.low < value < parameter.high:
-                start = replace(
-                    cause.with_values({parameter.name: value}), narrow=(parameter.name,)
-                )
-                tried += _near(problem, base, start, line, frequency_hz, sign)
+            ratio = mode.frequency_hz / _in_continuous_time(frequency_hz, step_s)
+            value = parameter.typical * ratio**2
+            if not parameter.low < value < parameter.high:
+                continue
+            start = replace(cause.with_values({parameter.name: value}), narrow=(parameter.name,))
+            try:
+                found_there = _on_line(problem, base, start, line, frequency_hz, sign)
+                if found_there is None or any(_same(found_there, other) for other in begun):
+                    continue
+                begun.append(found_there)
+                tried += _refined(problem, base, found_there, line)
+            except UserError:  # the machine blows up with it
+                continue
     return tried
+
+
+def _same(cause: Cause, other: Cause) -> bool:
+    """Return whether a compliance is so near another value that the same would be found from there."""
+    (name,) = cause.narrow
+    return abs(cause.values[name] / other.values[name] - 1.0) < CLOSE[0][-1]
+
+
+def _agrees(problem: Problem, base: Hypothesis, mode: Mode, line: Line) -> bool:
+    """
+    Return whether a mode that made a line would not show too much in any other encoder.
+
+    Encoder j moves by w_j = k_j shape_j, with k_j counts per unit. Where the line has the RMS value A_i
+    in its own channel i, j would have A_i |w_j / w_i|, which is more than j has there, A_j, by no more
+    than `ALIKE`. Above the observer's frequency the residuals have what the encoders have.
+    """
+    encoders = problem.nominal.description.encoders
+    moves, measured = {}, {}
+    for name in dict.fromkeys(problem.channel_names(PLANT)):
+        spectrum = _spectrum(problem, base.residuals[PLANT], name, line.brief)
+        # With another rate of samples a ring is folded to another frequency.
+        if spectrum is None or abs(spectrum.rate_hz / line.rate_hz - 1.0) > SAME_RATE:
+            continue
+        encoder = encoders[name]
+        moves[name] = abs(mode.shape.get(encoder.coordinate, 0.0) * encoder.counts_per_unit)
+        _, measured[name] = _strongest(spectrum, line, NEAR * line.frequency_hz)
+    own = moves[line.channel]
+    return all(
+        measured[line.channel] * moves[name] <= ALIKE * measured[name] * own for name in moves
+    )
 
 
 def _folded(line: Line, highest_hz: float) -> list[tuple[float, float]]:
@@ -295,8 +345,8 @@ def _in_continuous_time(frequency_hz: float, step_s: float) -> float:
     return math.tan(math.pi * frequency_hz * step_s) / (math.pi * step_s)
 
 
-def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[float]:
-    """Return the frequencies of the modes that a compliance makes, at its value."""
+def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[Mode]:
+    """Return the modes that a compliance makes, at its value."""
     (parameter,) = parameters_of(problem, cause)
     timing = problem.records[0].timing
     value, more = cause.values[parameter.name], 1.01
@@ -308,41 +358,51 @@ def _own_modes(problem: Problem, base: Hypothesis, cause: Cause) -> list[float]:
     if len(here) != len(there):
         return []
     return [
-        mode.frequency_hz
+        mode
         for mode, moved in zip(here, there, strict=True)
         if 1.0 - moved.frequency_hz / mode.frequency_hz > 0.5 * OWN * (more - 1.0)
     ]
 
 
-def _near(
+def _on_line(
     problem: Problem,
     base: Hypothesis,
     start: Cause,
     line: Line,
     frequency_hz: float,
     sign: float,
-) -> Iterator[tuple[Cause, float]]:
-    """Give the best value near a beginning, if the compliance changes about as much as a line has."""
-    (name,) = (item.name for item in parameters_of(problem, start))
+) -> Cause | None:
+    """
+    Return a compliance corrected by the line that it shows; none if that is far from as strong.
+
+    Raises `UserError` if the simulation blows up.
+    """
+    (name,) = start.narrow
     measured_hz, measured = _line_at(
         problem, base.residuals[PLANT], line, NEAR * line.frequency_hz
     )
     best = start
-    try:
-        for _ in range(CORRECTIONS):
-            change = whole_change(problem, base, (*base.causes, best))[PLANT]
-            channels = by_channel(change[:, 0], base.residuals[PLANT])
-            shown_hz, shown = _line_at(problem, channels, line, NEAR * frequency_hz)
-            if not measured / ALIKE < shown < measured * ALIKE:
-                return
-            too_high_hz = sign * (shown_hz - measured_hz)
-            factor = (1.0 + too_high_hz / frequency_hz) ** 2
-            best = best.with_values({name: best.values[name] * factor})
-        if line.brief:  # its frequency is known to some parts of a hundred only
-            best, _ = _best(problem, base, best, [1.0 + share for share in COARSELY])
-        yield _closer(problem, base, best)
-    except UserError:  # the machine blows up with it
-        return
+    for _ in range(CORRECTIONS):
+        change = whole_change(problem, base, (*base.causes, best))[PLANT]
+        channels = by_channel(change[:, 0], base.residuals[PLANT])
+        shown_hz, shown = _line_at(problem, channels, line, NEAR * frequency_hz)
+        if not measured / ALIKE < shown < measured * ALIKE:
+            return None
+        too_high_hz = sign * (shown_hz - measured_hz)
+        factor = (1.0 + too_high_hz / frequency_hz) ** 2
+        best = best.with_values({name: best.values[name] * factor})
+    return best
+
+
+def _refined(
+    problem: Problem, base: Hypothesis, cause: Cause, line: Line
+) -> Iterator[tuple[Cause, float]]:
+    """Give the best value near that of a compliance, and its gain in 2 ln L, if it may gain anything."""
+    if line.brief:  # its frequency is known to some parts of a hundred only
+        cause, gain = _best(problem, base, cause, [1.0 + share for share in COARSELY])
+        if gain < FAINTLY:
+            return
+    yield _closer(problem, base, cause)
 
 
 def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, float]:
@@ -435,6 +495,11 @@ def _line_at(
     """Return the frequency of the strongest line near another, Hz, and its RMS value, counts."""
     spectrum = _spectrum(problem, channels, line.channel, line.brief)
     assert spectrum is not None  # it has a line
+    return _strongest(spectrum, line, within_hz)
+
+
+def _strongest(spectrum: _Spectrum, line: Line, within_hz: float) -> tuple[float, float]:
+    """Return the same of a spectrum."""
     near = np.flatnonzero(np.abs(spectrum.frequency_hz - line.frequency_hz) < within_hz)
     strongest = int(near[np.argmax(spectrum.power[near])])
     about = slice(max(strongest - 2, 0), strongest + 3)
