@@ -374,6 +374,15 @@ def test_the_detection_curve_counts_by_the_size_that_was_had():
     assert rows[8.0]['size'] == pytest.approx(math.sqrt(90.0))
 
 
+def test_results_say_of_which_commits_they_are():
+    lines = [
+        line('single-10', 'right', 10.0, commit='abc1234'),
+        line('single-3', 'right', 3.0, commit='abc1234'),
+        line('single-3', 'right', 3.0),
+    ]
+    assert summary.summarise(lines)['commits'] == {'abc1234': 2, 'not known': 1}
+
+
 def test_tables_and_aims_of_nothing_and_of_something(capsys):
     for lines in ([], [line('single-10', 'right', 10.0, runtime_s=3.0, gain_share=0.5)]):
         found = summary.summarise(lines)

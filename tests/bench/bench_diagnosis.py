@@ -6,11 +6,13 @@ Effects of the whole library, on every axis, at given sizes, in logs with motion
 drawn; nothing hidden; two effects at once; effects that the diagnosis does not know. Every case is
 one line of bench-results/diagnosis.jsonl, written as soon as it is done: what is there is not done
 again, so the bench can be stopped and goes on where it was. At the end tables of all lines of this seed,
-the same as diagnosis.json and a picture, diagnosis.png.
+the same as diagnosis.json and a picture, diagnosis.png. A line says with which commit it was found.
 
-The full matrix takes many hours on two cores. For a part of it:
+The full matrix takes many hours on two cores. For a part of it, and to go on with the lines in the
+repository:
 
   make bench-diagnosis OPTIONS='--only single-10 --effects backlash,cogging --minutes 20'
+  make bench-diagnosis OPTIONS='--out tests/bench/results'
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import argparse
 import itertools
 import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -95,7 +98,9 @@ def _bench(options: argparse.Namespace) -> None:
     ]
     print(f'{len(wanted)} cases, {len(left)} to do; results: {results}')
     with cluster(options.cluster, PACKAGE) as cores, results.open('a', encoding='utf-8') as file:
+        commit = _commit()
         for number, line in enumerate(_run_all(left, cores, options), 1):
+            line['commit'] = commit
             file.write(json.dumps(line) + '\n')
             file.flush()
             lines.append(line)
@@ -115,6 +120,28 @@ def _bench(options: argparse.Namespace) -> None:
     print(
         f'as JSON and picture: {options.out / "diagnosis.json"}, {options.out / "diagnosis.png"}'
     )
+
+
+def _commit() -> str:
+    """
+    Return the commit that changed the sources last; nothing if git knows none.
+
+    With `-dirty` if they differ from it. Results that are committed do not count as sources.
+    """
+    sources = ('--', ':/src', ':/tests/bench/diagnosis_matrix')
+    try:
+        last = _git('log', '-1', '--format=%h', *sources)
+        changed = _git('status', '--porcelain', '--untracked-files=no', *sources)
+    except (OSError, subprocess.SubprocessError):
+        return ''
+    return f'{last}-dirty' if changed else last
+
+
+def _git(*arguments: str) -> str:
+    found = subprocess.run(
+        ['git', *arguments], cwd=PACKAGE, capture_output=True, text=True, check=True, timeout=60.0
+    )
+    return found.stdout.strip()
 
 
 def read_lines(path: Path) -> list[dict[str, Any]]:

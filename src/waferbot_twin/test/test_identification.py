@@ -18,7 +18,6 @@ from waferbot_twin.diagnosis.problem import PLANT, Problem
 from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
-from waferbot_twin.identification.colour import flattened, spectrum
 from waferbot_twin.identification.conditioning import conditioning, in_words
 from waferbot_twin.identification.estimation import estimate
 from waferbot_twin.identification.identify import identify
@@ -177,22 +176,6 @@ def test_whiteness_knows_white_from_coloured_and_what_comes_from_the_input():
     assert whiteness(coloured, 0).probability < 1e-6
     assert whiteness(driven, 0, driving).input_probability < 1e-6
     assert int(np.argmax(whiteness(driven, 0, driving).input_correlation)) == 5
-
-
-def test_a_slow_colour_that_an_autoregression_misses_is_taken_out():
-    random = np.random.default_rng(7)
-    slow = lfilter([0.005], [1.0, -0.995], random.normal(size=40000))
-    noise_of_both = random.normal(size=40000) + 3.0 * slow
-    power = spectrum(noise_of_both)
-    expected = (
-        1.0
-        + (3.0 * 0.005) ** 2
-        / np.abs(1.0 - 0.995 * np.exp(-2j * np.pi * np.fft.rfftfreq(40000))) ** 2
-    )
-    middle = slice(20, None)
-    assert np.median(power[middle] / expected[middle]) == pytest.approx(1.0, abs=0.03)
-    flat = np.abs(np.fft.rfft(flattened(noise_of_both, power))) ** 2 / 40000
-    assert flat[1:60].mean() == pytest.approx(1.0, abs=0.3)
 
 
 # Estimates

@@ -99,6 +99,7 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
         ),
         'gain_share': _gain_shares(of['single-10']),
         'runtime_s': _runtimes([line['runtime_s'] for line in judged if 'runtime_s' in line]),
+        'commits': dict(Counter(line.get('commit') or 'not known' for line in lines)),
     }
 
 
@@ -284,6 +285,8 @@ def print_tables(found: dict[str, Any]) -> None:
         f'one diagnosis on one core: median {_number(runtime["median"])} s, longest '
         f'{_number(runtime["longest"])} s'
     )
+    commits = ', '.join(f'{name} ({count})' for name, count in found['commits'].items())
+    console.print(f'found with commits: {commits}')
     if found['left_out']:
         names = ', '.join(f'{name} ({count})' for name, count in found['left_out'].items())
         console.print(f'left out, because the size is out of reach on that motion: {names}')

@@ -22,6 +22,7 @@ from joblib import Parallel, delayed
 from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.colour import covariance
 from waferbot_twin.diagnosis.hypothesis import (
     Hypothesis,
     evaluate,
@@ -242,7 +243,8 @@ def linearise(
     system, right = whitened_jointly(now.residuals, together, estimate)
     if not usual:
         orthogonal, triangle = np.linalg.qr(system)
-        return Linear(estimate.value, estimate.covariance, triangle, orthogonal.T @ right)
+        spread = covariance(system, estimate)
+        return Linear(estimate.value, spread, triangle, orthogonal.T @ right)
     weight = math.sqrt(usual)
     towards = weight * np.array([_per_unit(now.causes[place], item) for place, item in names])
     system = np.vstack([system, np.diag(towards)])
@@ -252,8 +254,8 @@ def linearise(
     scale[scale == 0.0] = 1.0
     inverse = np.linalg.pinv(triangle / scale, rcond=1e-10)
     right = orthogonal.T @ right
-    covariance = inverse @ inverse.T / np.outer(scale, scale)
-    return Linear(inverse @ right / scale, covariance, triangle, right)
+    spread = inverse @ inverse.T / np.outer(scale, scale)
+    return Linear(inverse @ right / scale, spread, triangle, right)
 
 
 def _signatures(problem: Problem, now: Hypothesis, workers: int) -> list[Signature]:

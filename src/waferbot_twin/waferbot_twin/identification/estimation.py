@@ -3,10 +3,10 @@
 Named parameters, fitted through the simulation of the blocks.
 
 The residuals of the blocks (`diagnosis.problem`) are made white as what is left of them tells (an
-autoregression, then `colour`), and the sum of their squares is made as small as can be; then the colour
-is found anew, and so on. Added to it is a square for how far each parameter is from the model's value,
-in half ranges. It is as nothing beside what signals say, and where they say nothing, parameters stay
-where the model has them.
+autoregression, then `diagnosis.colour`), and the sum of their squares is made as small as can be; then
+the colour is found anew, and so on. Added to it is a square for how far each parameter is from the
+model's value, in half ranges. It is as nothing beside what signals say, and where they say nothing,
+parameters stay where the model has them.
 
 The covariance is that of the linear problem at the end (`conditioning`).
 """
@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.colour import Whitening
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.identification.colour import Whitening
 from waferbot_twin.identification.conditioning import Conditioning, conditioning
 from waferbot_twin.identification.named_parameters import MODEL, NamedParameter
 from waferbot_twin.identification.solving import least_squares
