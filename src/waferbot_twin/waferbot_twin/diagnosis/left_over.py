@@ -2,11 +2,11 @@
 """
 What the causes leave unexplained, and where.
 
-Seven kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+Eight kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
 block whose output follows from its input to the last bit still does something else; what is left follows
 the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
-a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); or a table of
-force over speed or position explains it.
+a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its
+parts is told (`undetermined`); or a table of force over speed or position explains it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.steadiness import Unsteady, unsteady
 from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.diagnosis.tones import lasting_tones
+from waferbot_twin.diagnosis.undetermined import Undetermined, undetermined
 from waferbot_twin.effects.places import motor_axes, moves_with
 
 LEFT_SHARE = 0.05
@@ -40,8 +41,8 @@ class LeftOver:
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
     the command; by axis the frequency, Hz, of a tone (`sounding`); by block those with something
-    `different`; causes on which the logs are `disagreeing`, and those that are `unsteady`;
-    `tables` of force that explain it.
+    `different`; causes on which the logs are `disagreeing`, those that are `unsteady`, and those that
+    are `undetermined`; `tables` of force that explain it.
     """
 
     moving: list[str]
@@ -50,6 +51,7 @@ class LeftOver:
     different: Mapping[str, Sequence[str]]
     disagreeing: list[Disagreement]
     unsteady: list[Unsteady]
+    undetermined: list[Undetermined]
     tables: list[Cause]
     notes: list[str]
 
@@ -61,21 +63,23 @@ class LeftOver:
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
         every += [item.cause.axis for item in self.unsteady]
+        every += [item.cause.axis for item in self.undetermined]
         return list(dict.fromkeys(every))
 
     def in_doubt(self, cause: Cause, problem: Problem) -> bool:
         """
         Return whether there is reason to doubt a cause.
 
-        The logs disagree on its values, it seems larger in one place than in another, it makes its axis
-        ring, but the axis still rings otherwise (where the model is near the machine: a swing has tones,
-        too), or it acts in exact blocks alone, one of which still does something else.
+        The logs disagree on its values, it seems larger in one place than in another, they tell none of
+        its parts, it makes its axis ring, but the axis still rings otherwise (where the model is near
+        the machine: a swing has tones, too), or it acts in exact blocks alone, one of which still does
+        something else.
         """
         if cause.effect.rings and cause.axis in self.sounding and not self.moving:
             return True
-        doubted = [item.cause for item in self.disagreeing] + [
-            item.cause for item in self.unsteady
-        ]
+        doubted = [item.cause for item in self.disagreeing]
+        doubted += [item.cause for item in self.unsteady]
+        doubted += [item.cause for item in self.undetermined]
         if any(item.name == cause.name for item in doubted):
             return True
         touched = problem.touched(cause.effect, cause.axis)
@@ -94,13 +98,14 @@ def left_over(
     different = axes_that_differ(problem, judge, found)
     disagreeing = [] if moving else disagreements(problem, judge, found)
     changing = [] if moving else unsteady(problem, judge, found)
+    untold = [] if moving else undetermined(problem, found.found)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
     notes = [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
         for block, axes in different.items()
         for axis in axes
     ]
-    notes += [str(item) for item in (*disagreeing, *changing)]
+    notes += [str(item) for item in (*disagreeing, *changing, *untold)]
     if following:
         notes.append(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
@@ -115,7 +120,7 @@ def left_over(
             'the causes found, and their values are those that stand in for it best'
         )
     return LeftOver(
-        moving, following, sounding, different, disagreeing, changing, tables_found, notes
+        moving, following, sounding, different, disagreeing, changing, untold, tables_found, notes
     )
 
 
