@@ -414,6 +414,11 @@ def test_page_is_up_to_date() -> None:
     assert effects_page.renewed(page) == page
 
 
+def test_the_readme_says_how_many_effects_there_are():
+    readme = (Path(__file__).parents[3] / 'README.md').read_text('utf-8')
+    assert f'[{len(library())}](docs/effects.md)' in readme
+
+
 def test_there_is_one_floor_and_each_direction_of_it_has_one_name():
     nominal = Variant.of(load_model('rigid'))
     effect = find('floor_vibration')
