@@ -351,6 +351,15 @@ def test_what_is_left_out_is_not_judged_but_a_crash_is():
     assert confusion['reported'] == 'crashed'
 
 
+def test_what_is_not_right_says_where_the_true_model_itself_wins():
+    lines = [
+        line('single-10', 'missed', 10.0, gain_of_truth=[200.0, -5.0]),
+        line('single-10', 'missed', 10.0, gain_of_truth=[200.0, 30.0]),
+    ]
+    (row,) = summary.summarise(lines)['confusions']
+    assert (row['cases'], row['truth_wins']) == (2, 1)
+
+
 def test_wilson_interval():
     # E. B. Wilson's score interval by its closed form
     hits, count, z = 3, 40, 1.959963984540054

@@ -123,16 +123,27 @@ def _detection(singles: Sequence[Line]) -> list[dict[str, Any]]:
 
 
 def _confusions(judged: Sequence[Line]) -> list[dict[str, Any]]:
-    """Return what was reported in place of the truth, the most frequent first."""
-    found = Counter(
-        (' + '.join(line['hidden']) or 'nothing', _reported(line), line['group'])
-        for line in judged
-        if not is_named(line)
-    )
-    ordered = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+    """
+    Return what was reported in place of the truth, the most frequent first.
+
+    With how often the true model itself wins in the logs for judging: no diagnosis can confirm one that
+    loses there, such as a ring whose phase the noise decides.
+    """
+    found: dict[tuple[str, str, str], list[Line]] = {}
+    for line in judged:
+        if not is_named(line):
+            key = (' + '.join(line['hidden']) or 'nothing', _reported(line), line['group'])
+            found.setdefault(key, []).append(line)
+    ordered = sorted(found.items(), key=lambda item: (-len(item[1]), item[0]))
     return [
-        {'truth': truth, 'reported': reported, 'group': group, 'cases': count}
-        for (truth, reported, group), count in ordered
+        {
+            'truth': truth,
+            'reported': reported,
+            'group': group,
+            'cases': len(lines),
+            'truth_wins': sum(line.get('gain_of_truth', [0.0])[-1] > 0.0 for line in lines),
+        }
+        for (truth, reported, group), lines in ordered
     ]
 
 
@@ -251,9 +262,11 @@ def print_tables(found: dict[str, Any]) -> None:
             _text(row['seen']),
         )  # fmt: skip
     console.print(table)
-    table = _table('Not right', 'hidden', 'reported', 'group', 'cases')
+    table = _table('Not right', 'hidden', 'reported', 'group', 'cases', 'where the truth wins')
     for row in found['confusions'][:40]:
-        table.add_row(row['truth'], row['reported'], row['group'], str(row['cases']))
+        table.add_row(
+            row['truth'], row['reported'], row['group'], str(row['cases']), str(row['truth_wins'])
+        )
     if found['confusions']:
         console.print(table)
     table = _table(
