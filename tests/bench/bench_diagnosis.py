@@ -126,11 +126,11 @@ def _commit() -> str:
     """
     Return the commit that changed the sources last; nothing if git knows none.
 
-    With `-dirty` if they differ from it. Sources are those that results depend on: neither tests nor what
+    With `-dirty` if they differ from it. Sources are what results depend on: neither tests nor what
     counts the results, nor results that are committed.
     """
     counts = (f'tests/bench/diagnosis_matrix/{name}.py' for name in ('summary', 'picture'))
-    others = (f':(top,exclude){path}' for path in ('src/*/test', *counts))
+    others = (f':(top,exclude,glob){path}' for path in ('src/*/test/**', *counts))
     sources = ('--', ':/src', ':/tests/bench/diagnosis_matrix', *others)
     try:
         last = _git('log', '-1', '--format=%h', *sources)
