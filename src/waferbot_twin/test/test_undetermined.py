@@ -56,4 +56,6 @@ def test_one_part_that_the_logs_tell_is_enough(problem):
 def test_what_has_one_part_only_or_no_known_errors_is_not_asked(problem):
     friction = Cause(find('viscous_friction'), 'x_rotate', {'damping': 0.1})
     assert undetermined(problem, with_errors([friction], [1.0])) == []
-    assert undetermined(problem, with_errors([cogging(problem, sine_1=0.1)], [])) == []
+    cause = cogging(problem, sine_1=0.1)
+    assert undetermined(problem, with_errors([cause], [])) == []
+    assert undetermined(problem, with_errors([cause], [0.0] * cause.free)) == []

@@ -2,16 +2,17 @@
 """
 Causes that the logs show as a whole, but of whose parts they tell none.
 
-Harmonics of a cogging over a tenth of its period are large and cancel: together they are any smooth
-force over the position, a spring's or a stiction's as well as a magnet's. Each of them by itself could
-be nothing,
+Harmonics of a cogging over a small part of its period are large and cancel: together they are any
+smooth force over the position, a spring's or a stiction's as well as a magnet's. Each of them by itself
+could be nothing,
 
     |value - neutral| < 1.96 standard errors    for every part,
 
 though the logs are far more likely with all of them. Then it is not known that the force repeats, which
 is what the name says.
 
-Limit: a cause with one part only, shapes not counted, is never asked.
+Limits: a cause with one part only, shapes not counted, is never asked; nor is one none of whose parts
+has a standard error, as in a block that calculates in whole numbers.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class Undetermined:
         """Return what that means."""
         return (
             f'{self.cause.name}: the logs tell that something like it is there, but each of its '
-            f'{self.parts} parts by itself could be nothing; another cause may look the same where the '
-            'axis moves so little'
+            f'{self.parts} parts by itself could be nothing; another cause may look the same in these '
+            'logs'
         )
 
 
@@ -47,11 +48,12 @@ def undetermined(problem: Problem, found: Hypothesis) -> list[Undetermined]:
         return []
     result = []
     for place, cause in enumerate(found.causes):
-        scores = [
-            abs(cause.values[item.name] - item.neutral) / error if error > 0.0 else 0.0
+        parts = [
+            (abs(cause.values[item.name] - item.neutral), error)
             for (owner, item), error in zip(names, errors, strict=True)
             if owner == place and not item.shape
         ]
-        if len(scores) > 1 and max(scores) < NORMAL_95:
-            result.append(Undetermined(cause, len(scores)))
+        told = [size >= NORMAL_95 * error for size, error in parts if error > 0.0]
+        if len(parts) > 1 and told and not any(told):
+            result.append(Undetermined(cause, len(parts)))
     return result
