@@ -23,7 +23,6 @@ from scipy.stats import chi2
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.noise_free_motion import Motion, change, motions
-from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import Search
@@ -85,8 +84,7 @@ def _coarse_encoders(problem: Problem, causes: Sequence[Cause]) -> set[str]:
     variant = apply_all(problem.nominal, causes)
     return {
         name
-        for block in problem.blocks[PLANT]
-        if isinstance(block, PlantBlock)
+        for block in problem.plants
         for name, step in zip(block.channels, block.steps(variant), strict=True)
         if step > 1.0
     }

@@ -2,11 +2,12 @@
 """
 What the causes leave unexplained, and where.
 
-Eight kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
+Nine kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
 block whose output follows from its input to the last bit still does something else; what is left follows
 the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
 a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its
-parts is told (`undetermined`); or a table of force over speed or position explains it.
+parts is told (`undetermined`); it is said to repeat where no log goes so far (`repetition`); or a table
+of force over speed or position explains it.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
 from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.nonparametric import tables
 from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_all
+from waferbot_twin.diagnosis.repetition import Unrepeated, unrepeated
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
@@ -33,6 +35,9 @@ Share of what the model left over, in 2 ln L, that right causes may leave in an 
 values are found to some parts of a thousand, and then single bits differ.
 """
 
+Doubt = Unsteady | Undetermined | Unrepeated
+"""Why one cause may stand in for something else."""
+
 
 @dataclass(frozen=True)
 class LeftOver:
@@ -41,8 +46,8 @@ class LeftOver:
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
     the command; by axis the frequency, Hz, of a tone (`sounding`); by block those with something
-    `different`; causes on which the logs are `disagreeing`, those that are `unsteady`, and those that
-    are `undetermined`; `tables` of force that explain it.
+    `different`; causes on which the logs are `disagreeing`, and those in doubt for other reasons;
+    `tables` of force that explain it.
     """
 
     moving: list[str]
@@ -50,8 +55,7 @@ class LeftOver:
     sounding: Mapping[str, float]
     different: Mapping[str, Sequence[str]]
     disagreeing: list[Disagreement]
-    unsteady: list[Unsteady]
-    undetermined: list[Undetermined]
+    doubts: list[Doubt]
     tables: list[Cause]
     notes: list[str]
 
@@ -62,8 +66,7 @@ class LeftOver:
         every += self.sounding
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
-        every += [item.cause.axis for item in self.unsteady]
-        every += [item.cause.axis for item in self.undetermined]
+        every += [item.cause.axis for item in self.doubts]
         return list(dict.fromkeys(every))
 
     def in_doubt(self, cause: Cause, problem: Problem) -> bool:
@@ -71,16 +74,13 @@ class LeftOver:
         Return whether there is reason to doubt a cause.
 
         The logs disagree on its values, it seems larger in one place than in another, they tell none of
-        its parts, it makes its axis ring, but the axis still rings otherwise (where the model is near
-        the machine: a swing has tones, too), or it acts in exact blocks alone, one of which still does
-        something else.
+        its parts or not that it repeats, it makes its axis ring, but the axis still rings otherwise
+        (where the model is near the machine: a swing has tones, too), or it acts in exact blocks alone,
+        one of which still does something else.
         """
         if cause.effect.rings and cause.axis in self.sounding and not self.moving:
             return True
-        doubted = [item.cause for item in self.disagreeing]
-        doubted += [item.cause for item in self.unsteady]
-        doubted += [item.cause for item in self.undetermined]
-        if any(item.name == cause.name for item in doubted):
+        if any(item.cause.name == cause.name for item in (*self.disagreeing, *self.doubts)):
             return True
         touched = problem.touched(cause.effect, cause.axis)
         return all(block in self.different for block in touched) and any(
@@ -97,15 +97,14 @@ def left_over(
     sounding = lasting_tones(problem, found.found, judge, found.judged)
     different = axes_that_differ(problem, judge, found)
     disagreeing = [] if moving else disagreements(problem, judge, found)
-    changing = [] if moving else unsteady(problem, judge, found)
-    untold = [] if moving else undetermined(problem, found.found)
+    doubts = [] if moving else _doubts(problem, judge, found)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
     notes = [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
         for block, axes in different.items()
         for axis in axes
     ]
-    notes += [str(item) for item in (*disagreeing, *changing, *untold)]
+    notes += [str(item) for item in (*disagreeing, *doubts)]
     if following:
         notes.append(
             f'what is left over on {", ".join(following)} follows the command: it is no noise'
@@ -120,8 +119,16 @@ def left_over(
             'the causes found, and their values are those that stand in for it best'
         )
     return LeftOver(
-        moving, following, sounding, different, disagreeing, changing, untold, tables_found, notes
+        moving, following, sounding, different, disagreeing, doubts, tables_found, notes
     )
+
+
+def _doubts(problem: Problem, judge: Problem, found: Search) -> list[Doubt]:
+    return [
+        *unsteady(problem, judge, found),
+        *undetermined(problem, found.found),
+        *unrepeated(found.found.causes, problem, judge),
+    ]
 
 
 def _tables(

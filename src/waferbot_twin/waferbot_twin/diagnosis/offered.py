@@ -13,9 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
-from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.position_spectrum import orders_of
-from waferbot_twin.diagnosis.problem import PLANT, Problem
+from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import common_step
 from waferbot_twin.effects import (
     coarse_quantisation,
@@ -79,6 +78,5 @@ def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
 
     The twin's own machine has the orders that the library tries.
     """
-    plants = [block for block in problem.blocks[PLANT] if isinstance(block, PlantBlock)]
-    imported = [block for block in plants if block.record.current is not None]
+    imported = [block for block in problem.plants if block.record.current is not None]
     return [cogging.with_orders(orders_of(problem.nominal, imported))] if imported else []

@@ -169,6 +169,11 @@ class Problem:
         ends = {MOTOR_ENCODER[axis], POSITION_ENCODER[axis]}
         return len(ends) == 2 and all(ends <= set(log.channels) for log in self.blocks[PLANT])
 
+    @property
+    def plants(self) -> list[PlantBlock]:
+        """The plant of every log."""
+        return cast('list[PlantBlock]', self.blocks[PLANT])
+
     def residuals(self, variant: Variant, block: str) -> list[Array]:
         """Return the residuals of a block, all channels of all logs."""
         return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
@@ -199,8 +204,7 @@ class Problem:
     def quick(self) -> Problem:
         """Return the same problem with longer steps of the plant: for what a cause changes in it."""
         other = copy.copy(self)
-        parts = cast('list[PlantBlock]', self.blocks[PLANT])
-        other.blocks = {**self.blocks, PLANT: [part.in_encoder_ticks() for part in parts]}
+        other.blocks = {**self.blocks, PLANT: [part.in_encoder_ticks() for part in self.plants]}
         return other
 
     def channels(self, block: str) -> list[Channel]:
@@ -243,8 +247,7 @@ class Problem:
     @property
     def plant_rates_hz(self) -> list[float]:
         """The rate of the plant's residual in every channel, log by log."""
-        parts = cast('list[PlantBlock]', self.blocks[PLANT])
-        return [rate for part in parts for rate in part.rates_hz]
+        return [rate for part in self.plants for rate in part.rates_hz]
 
     def channel_names(self, block: str) -> list[str]:
         """Return the name of every channel of a block, log by log."""

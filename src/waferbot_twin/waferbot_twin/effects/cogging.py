@@ -41,7 +41,7 @@ def period(variant: Variant, axis: str) -> float:
     """Return what orders of `with_orders` count from: a turn (rad), or an electrical cycle (m)."""
     if places.motor_rotary(variant, axis):
         return 2.0 * math.pi
-    return _cycle(variant, axis)
+    return places.electrical_cycle(variant, axis)
 
 
 def with_orders(orders: Mapping[str, Sequence[int]]) -> Effect:
@@ -68,15 +68,14 @@ def with_orders(orders: Mapping[str, Sequence[int]]) -> Effect:
     def axes(variant: Variant) -> tuple[str, ...]:
         return tuple(axis for axis in places.motor_axes(variant) if orders.get(axis))
 
+    def longest(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+        return period(variant, axis) / min(orders[axis]) / places.motor_ratio(variant, axis)
+
     return Effect(
         NAME, Block.MOTOR, SUMMARY, axes, parameters, overlay,
         equation='F = sum over orders n of cosine_n cos(n phi) + sine_n sin(n phi)',
+        repeats_after=longest,
     )  # fmt: skip
-
-
-def _cycle(variant: Variant, axis: str) -> float:
-    """Return the length of an electrical cycle at the motor, m or rad."""
-    return 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)
 
 
 def _amplitude(variant: Variant, axis: str, name: str, meaning: str) -> Parameter:
@@ -127,7 +126,7 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
         )
         for harmonic in HARMONICS
     }
-    return _periodic(variant, axis, _cycle(variant, axis), lines)
+    return _periodic(variant, axis, places.electrical_cycle(variant, axis), lines)
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
@@ -144,4 +143,5 @@ def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
 EFFECT = Effect(
     NAME, Block.MOTOR, SUMMARY, places.motor_axes, _parameters, _overlay, _trials,
     equation='F = sum of cosine_j cos(j order theta) + sine_j sin(j order theta), j = 1, 2, 3',
+    repeats_after=places.period_of_order,
 )  # fmt: skip

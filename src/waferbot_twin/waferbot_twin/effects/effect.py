@@ -52,6 +52,7 @@ class Parameter:
 
 
 Trials = Callable[[Variant, str], tuple[Values, ...]]
+Length = Callable[[Variant, str, Mapping[str, float]], float]
 
 
 def always(variant: Variant, axis: str) -> bool:
@@ -69,6 +70,11 @@ def several_trials(name: str, *values: float) -> Trials:
     return lambda variant, axis: tuple({name: value} for value in values)
 
 
+def never(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+    """Return 0: the effect does not repeat along the way."""
+    return 0.0
+
+
 @dataclass(frozen=True)
 class Effect:
     """
@@ -84,10 +90,12 @@ class Effect:
     it is `tried_at` so many times its typical size, if a little of it says nothing of more; one that
     grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
     `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
-    else. Of a `usual` one every machine has some: where a model is far off, it is likely among what
-    lacks. One that is `evident` stands in the readings themselves, and no noise feigns it; one in the
-    `drive_train` stands in the difference of the encoders of motor and load, if there are both. Where
-    one is not `distinct` in a model, the effect `same_as` does exactly the same and stands for it.
+    else. One whose name says that it repeats along the way `repeats_after` a length, m or rad of its
+    axis (0: never). Of a `usual` one every machine has some: where a model is far off, it is likely
+    among what lacks. One that is `evident` stands in the readings themselves, and no noise feigns it;
+    one in the `drive_train` stands in the difference of the encoders of motor and load, if there are
+    both. Where one is not `distinct` in a model, the effect `same_as` does exactly the same and stands
+    for it.
     """
 
     name: str
@@ -106,6 +114,7 @@ class Effect:
     evident: bool = False
     drive_train: bool = False
     tone: str = ''
+    repeats_after: Length = never
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always
 

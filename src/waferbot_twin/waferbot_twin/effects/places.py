@@ -9,6 +9,8 @@ before it have left it.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -110,6 +112,16 @@ def motor_ratio(variant: Variant, axis: str) -> float:
     if placing[driving][0] != placing[driven][0]:
         return 1.0
     return abs(placing[driving][1] / placing[driven][1])
+
+
+def electrical_cycle(variant: Variant, axis: str) -> float:
+    """Return the length of an electrical cycle at an axis' motor, m or rad of the motor."""
+    return 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)
+
+
+def period_of_order(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+    """Return how far an axis goes, m or rad, in a period of `order` per electrical cycle."""
+    return electrical_cycle(variant, axis) / motor_ratio(variant, axis) / values['order']
 
 
 def joint_of(variant: Variant, axis: str) -> Joint | None:

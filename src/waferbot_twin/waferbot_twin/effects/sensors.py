@@ -88,6 +88,11 @@ def eccentricity_effect(
 ) -> Effect:
     """Return the effect of a periodic error of an encoder along the way."""
 
+    def repeats_after(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+        at_motor = encoder_of(variant, axis).coordinate == places.motor_coordinate(variant, axis)
+        ratio = places.motor_ratio(variant, axis) if at_motor else 1.0
+        return values['period'] / ratio
+
     def periods(variant: Variant, axis: str) -> tuple[float, ...]:
         """Return a turn and half of it; of a scale, 0.1 m and 20 mm; the model's before others."""
         encoder = encoder_of(variant, axis)
@@ -136,6 +141,7 @@ def eccentricity_effect(
         changes,
         trials,
         equation='x_shown = x + cosine cos kx + sine sin kx, k = 2 pi / period',
+        repeats_after=repeats_after,
     )
 
 

@@ -66,4 +66,5 @@ EFFECT = Effect(
     _overlay,
     several_trials('order', 6.0, 2.0),
     equation='k = k_model (1 + cosine cos(order theta) + sine sin(order theta))',
+    repeats_after=places.period_of_order,
 )

@@ -76,6 +76,10 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
     )
 
 
+def _repeats_after(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+    return 2.0 * math.pi / values['order'] / places.motor_ratio(variant, axis)
+
+
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
     transmission = _transmission(variant, axis)
     assert transmission is not None
@@ -92,5 +96,6 @@ EFFECT = Effect(
     _trials,
     equation='t = cosine cos(order phi) + sine sin(order phi)',
     drive_train=True,
+    repeats_after=_repeats_after,
     begins_at=1e-3,
 )
