@@ -50,9 +50,13 @@ class Motion:
 
     @property
     def amplitude(self) -> Array:
-        """Amplitude of the currents, A: i^2 = 4/3 (i1^2 + i1 i2 + i2^2) of phases in balance."""
-        first, second = self.currents
-        return np.sqrt(np.maximum(first**2 + first * second + second**2, 0.0) * 4.0 / 3.0)
+        """Amplitude of the currents, A."""
+        return amplitude(*self.currents)
+
+
+def amplitude(first: Array, second: Array) -> Array:
+    """Return that of two line currents, A: i^2 = 4/3 (i1^2 + i1 i2 + i2^2) of phases in balance."""
+    return np.sqrt(np.maximum(first**2 + first * second + second**2, 0.0) * 4.0 / 3.0)
 
 
 def _smooth(signal: Array, rate_hz: float) -> Array:

@@ -13,12 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.diagnosis.folded_back import folded_back
 from waferbot_twin.diagnosis.position_spectrum import orders_of
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.record import common_step
 from waferbot_twin.effects import (
     coarse_quantisation,
     cogging,
+    i2t_foldback,
     library,
     output_limit,
     places,
@@ -36,6 +38,7 @@ def offered_effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
     effects[cogging.NAME] += _cogging_of_imported_logs(problem)
     effects[coarse_quantisation.NAME] = coarse_readings(problem)
     effects[output_limit.NAME] += limited_commands(problem)
+    effects[i2t_foldback.NAME] += folded_back(problem)
     return [item for name, found in effects.items() if name not in without for item in found]
 
 

@@ -98,7 +98,8 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                     for item in parameters
                 }
                 cause = Cause(effect, axis, values, held)
-                found += rungs(problem, cause) if effect.threshold else [cause]
+                sized = any(not item.shape and item.name in trial for item in parameters)
+                found += rungs(problem, cause) if effect.threshold and not sized else [cause]
                 found += _tried(parameters, cause)
     return found
 

@@ -5,17 +5,29 @@ The amplifier limits its current to less than the model's continuous current, af
 Its integral of I^2 - I_c^2 may reach (I_p^2 - I_c^2) `time`, and from there on the current ends at
 I_c, `continuous`; the peak current I_p is twice that, as of most drives. Nothing happens while the
 axis needs less: at the model's value there is no effect, but neither is there just below it.
+`with_folds` gives the effect on some axes, tried with a level and a time alone that a log shows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from waferbot_twin.effects import places
-from waferbot_twin.effects.effect import Block, Effect, Parameter, several_trials
+from waferbot_twin.effects.effect import Block, Effect, Parameter, Values, several_trials
 from waferbot_twin.effects.variant import Overlay, Variant
 
+NAME = 'i2t_foldback'
 PEAK_OVER_CONTINUOUS = 2.0
+
+
+def with_folds(folds: Mapping[str, Values]) -> Effect:
+    """Return the effect on the axes of `folds` alone, each tried with these values."""
+
+    def trials(variant: Variant, axis: str) -> tuple[Values, ...]:
+        return (folds[axis],)
+
+    return replace(EFFECT, axes=lambda variant: tuple(folds), trials=trials)
 
 
 def _own(variant: Variant, axis: str) -> float:
@@ -45,7 +57,7 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 EFFECT = Effect(
-    'i2t_foldback',
+    NAME,
     Block.AMPLIFIER,
     'the amplifier folds back to its continuous current',
     places.amplified_axes,
