@@ -6,8 +6,8 @@ Nine kinds of evidence, none of which names a cause: the plant still moves as no
 block whose output follows from its input to the last bit still does something else; what is left follows
 the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
 a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its
-parts is told (`undetermined`); it is said to repeat where no log goes so far (`repetition`); or a table
-of force over speed or position explains it.
+parts is told, or not that it fades (`undetermined`); it is said to repeat where no log goes so far
+(`repetition`); or a table of force over speed or position explains it.
 """
 
 from __future__ import annotations

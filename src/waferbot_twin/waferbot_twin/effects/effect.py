@@ -91,7 +91,8 @@ class Effect:
     grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
     `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
     else. One whose name says that it repeats along the way `repeats_after` a length, m or rad of its
-    axis (0: never). Of a `usual` one every machine has some: where a model is far off, it is likely
+    axis (0: never), one whose name says that it fades away has the time constant that `fades_after`
+    names. Of a `usual` one every machine has some: where a model is far off, it is likely
     among what lacks. One that is `evident` stands in the readings themselves, and no noise feigns it;
     one in the `drive_train` stands in the difference of the encoders of motor and load, if there are
     both. Where one is not `distinct` in a model, the effect `same_as` does exactly the same and stands
@@ -115,6 +116,7 @@ class Effect:
     drive_train: bool = False
     tone: str = ''
     repeats_after: Length = never
+    fades_after: str = ''
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always
 
