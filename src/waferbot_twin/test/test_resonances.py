@@ -59,6 +59,16 @@ def test_a_line_is_found_and_noise_has_none():
     assert line.rate_hz == pytest.approx(RATE_HZ)
 
 
+def test_a_ring_at_half_the_rate_of_the_samples_is_a_line():
+    seed = 20261126
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    time_s = np.arange(4500) / RATE_HZ
+    ring = np.cos(2.0 * np.pi * 1124.6 * time_s)
+    (line,) = lines(*left_over({'y_linear': random.normal(0.0, 1.0, 4500) + ring}))
+    assert line.frequency_hz == pytest.approx(1124.6, abs=RATE_HZ / 1024)
+
+
 def test_a_ring_of_a_tenth_of_a_second_is_a_brief_line():
     seed = 20261124
     print(f'seed {seed}')

@@ -175,9 +175,11 @@ def lines(problem: Problem, base: Hypothesis, brief: bool = True) -> list[Line]:
         if spectrum is None:
             continue
         excess = spectrum.prominence / _least_prominence(spectrum, len(channels))
-        higher = np.maximum(excess[:-2], excess[2:])
+        # A line may be at half the rate of the samples, where the spectrum ends.
+        above = np.append(excess[2:], 0.0)
         peaks = 1 + np.flatnonzero(
-            (excess[1:-1] > np.maximum(higher, 1.0)) & (spectrum.frequency_hz[1:-1] > OBSERVER_HZ)
+            (excess[1:] > np.maximum(excess[:-1], np.maximum(above, 1.0)))
+            & (spectrum.frequency_hz[1:] > OBSERVER_HZ)
         )
         found += [
             Line(
