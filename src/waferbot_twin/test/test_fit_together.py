@@ -15,9 +15,9 @@ import pytest
 from scipy.optimize import least_squares, minimize
 
 from waferbot_twin.diagnosis.fitting import USUAL, Linear, fit_causes, names_of, without
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Cause
-from waferbot_twin.diagnosis.together import far, usual_causes
+from waferbot_twin.diagnosis.together import NEARLY, far, pays, price_of, take_out, usual_causes
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.effect import Parameter
@@ -61,7 +61,8 @@ class Decay:
         return (PLANT,)
 
     def residuals(self, variant, block):
-        return [self.measured - model(variant['amplitude'], variant['rate'], variant['offset'])]
+        values = [variant.get(name, 0.0) for name in ('amplitude', 'rate', 'offset')]
+        return [self.measured - model(*values)]
 
     def noises(self, block):
         return [Noise(1e-6, 0)]
@@ -139,6 +140,37 @@ def test_without_a_cause_the_others_make_up_for_it_as_least_squares_does():
     assert [cause.values['value'] for cause in left] == pytest.approx(
         [2.0 + change[0], 5.0 + change[1]]
     )
+
+
+@pytest.mark.parametrize(('judging_noise', 'kept'), [(0.05, True), (3.0, False)])
+def test_a_cause_that_nearly_pays_stays_where_other_logs_pay_for_it(judging_noise, kept):
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    offset = 0.3
+
+    def log(noise):
+        return Decay(model(20.0, 9.0, offset) + noise * random.standard_normal(len(TIME_S)))
+
+    finding, judging, tried = log(1.0), log(judging_noise), 3
+    found = fit_causes(finding, decay_causes(-10.0), rounds=40, enough=1e-9)
+    less = fit_causes(finding, decay_causes(-10.0)[:2], rounds=40, enough=1e-9)
+    share = 2.0 * (found.log_likelihood - less.log_likelihood) / price_of(1, found.samples, tried)
+    print('share of its price that the offset gains:', share)
+    assert NEARLY < share < 1.0
+    result = take_out(finding, judging, found, False, tried, lambda *_: None)
+    names = [cause.effect.name for cause in result.found.causes]
+    assert names == (['amplitude', 'rate', 'offset'] if kept else ['amplitude', 'rate'])
+    if kept:
+        gained = evaluate(judging, found.causes).log_likelihood
+        lost = evaluate(judging, less.causes).log_likelihood
+        assert 2.0 * (gained - lost) > price_of(1, found.samples, tried)
+
+
+def test_what_other_logs_gain_pays_for_a_little_only():
+    assert pays(10.0, -5.0, 10.0)
+    assert pays(7.0, 10.0, 10.0)
+    assert not pays(7.0, 9.9, 10.0)
+    assert not pays(6.9, 1000.0, 10.0)
 
 
 def hypothesis(residual):

@@ -24,7 +24,7 @@ from waferbot_twin.diagnosis.hypothesis import (
 )
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Problem
-from waferbot_twin.diagnosis.together import far_channels
+from waferbot_twin.diagnosis.together import far_channels, pays
 
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
@@ -83,18 +83,20 @@ def weighed(
     """
     Return a hypothesis with whether it is to be believed beside `base`, that without its new causes.
 
-    It has to gain `needed` in 2 ln L, and the logs for judging must not speak against it. What the
+    It has to gain `needed` in 2 ln L, or nearly so much and as much again in the logs for judging, and
+    these must not speak against it. What the
     command causes has to pay for the hypothesis in all logs together: a motion may be so slow that noise
     decides when an axis slides.
     """
-    if 2.0 * (item.found.log_likelihood - base.found.log_likelihood) < needed:
+    gained = 2.0 * (item.found.log_likelihood - base.found.log_likelihood)
+    confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
+    if not pays(gained, confirmed, needed):
         return item
     try:
         in_finding = caused_by_command(finding, base.found, item.found)
         in_judging = caused_by_command(judging, base.judged, item.judged)
     except UserError:
         return item
-    confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
     if _too_little(in_finding, in_judging):
         return replace(item, feigned=True)
     if in_judging.expected < TELLS:

@@ -47,6 +47,13 @@ through what is slower than 80 Hz, 160 independent samples a second of the servo
 ROUGHLY = 2.0
 """Gain in ln L below which another round of a fit far off is not worth its time."""
 
+NEARLY = 0.7
+"""
+Share of its price that a cause has to gain at least in the logs for finding.
+
+That will do where logs in which nothing is fitted, so that nothing has to be paid for, gain all of it.
+"""
+
 AGAINST = 8.0
 """What logs kept for judging must gain in 2 ln L without a cause for it to be taken out."""
 
@@ -110,6 +117,16 @@ def _one_sided(effect: Effect, item: Parameter) -> bool:
 def price_of(parameters: int, samples: int, tried: int) -> float:
     """Return what causes with so many parameters have to gain in 2 ln L."""
     return parameters * math.log(max(samples, 2)) + 4.0 * math.log(max(tried, 1))
+
+
+def pays(gained: float, confirmed: float, price: float) -> bool:
+    """
+    Return whether causes pay for themselves, all in 2 ln L.
+
+    They have `gained` it in the logs for finding; or nearly, and have the price `confirmed` by those for
+    judging, where nothing is fitted.
+    """
+    return gained >= price or (gained >= NEARLY * price and confirmed >= price)
 
 
 def gain_from_afar(problem: Problem, base: Hypothesis, more: Hypothesis) -> float:
@@ -190,7 +207,13 @@ def take_out(
             for name, other in without_it.items()
         }
         prices = {cause.name: price_of(cause.free, found.samples, tried) for cause in found.causes}
-        spare = [name for name, loss in losses.items() if loss < prices[name] and name not in kept]
+        spare = [
+            name
+            for name, loss in losses.items()
+            if loss < prices[name]
+            and name not in kept
+            and (rough or not _nearly_paid(judge, found, without_it[name], loss, prices[name]))
+        ]
         needless = bool(spare)
         if not spare:
             judged = evaluate(judge, found.causes).log_likelihood
@@ -221,6 +244,16 @@ def take_out(
     if whole.causes:
         whole.covariance = smooth * linear.covariance
     return Together(whole, evaluate(judging, found.causes), losses)
+
+
+def _nearly_paid(
+    judge: Problem, found: Hypothesis, without_it: Hypothesis, loss: float, price: float
+) -> bool:
+    """Return whether a cause pays with what the logs for judging lose without it."""
+    if loss < NEARLY * price:  # whatever they lose
+        return False
+    with_it, less = (_log_likelihood(judge, item.causes) for item in (found, without_it))
+    return pays(loss, 2.0 * (with_it - less), price)
 
 
 def _log_likelihood(problem: Problem, causes: tuple[Cause, ...]) -> float:
