@@ -65,16 +65,18 @@ def _longest(variant: Variant, axis: str, record: Record) -> tuple[int, Values]:
     first, last = max(_runs(short), key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < LEAST_TICKS or first == 0:
         return 0, {}
+    continuous, time = i2t_foldback.EFFECT.parameters(variant, axis)
     level = _level(lines[first - 1 : last], asked[first - 1 : last])
+    if not continuous.low <= level < continuous.high:
+        return 0, {}
     peak = min(i2t_foldback.PEAK_OVER_CONTINUOUS * level, places.peak_current(variant, axis))
     used = 0.0
     for current in given[:first]:
         used = accumulate(used, current * current, level, timing.tick_s)
-    fold = {'continuous': level, 'time': used / i2t_setpoint(peak, level, 1.0)}
-    parameters = i2t_foldback.EFFECT.parameters(variant, axis)
-    if not all(item.low <= fold[item.name] <= item.high for item in parameters):
+    allowed_s = used / i2t_setpoint(peak, level, 1.0)
+    if not time.low <= allowed_s <= time.high:
         return 0, {}
-    return last - first, fold
+    return last - first, {continuous.name: level, time.name: allowed_s}
 
 
 def _level(lines: Array, asked: Array) -> float:
