@@ -195,6 +195,8 @@ def test_what_cannot_have_the_size_is_said_to_be_out_of_reach():
         scale_of_size(lambda s: 0.0, 10.0, 2.0)
     with pytest.raises(NeverNeutral, match='however little'):
         scale_of_size(lambda s: 10.0 + s, 10.0, 2.0)
+    with pytest.raises(NeverNeutral, match='however little'):  # a belt let go, never to slip
+        scale_of_size(lambda s: 40.0 if s > 1e-15 else 0.0, 10.0, 2.0)
 
 
 # Scoring

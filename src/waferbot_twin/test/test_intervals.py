@@ -29,17 +29,17 @@ def nominal():
     return host(Variant.of(load_model('rigid')))
 
 
-def log_of(nominal, *causes):
+def log_of(nominal, *causes, motion='random_y_rotate', seconds=0.6):
     timing, variant = Timing(), apply_all(nominal, causes)
     twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
-        load_experiment('random_y_rotate'), twin.servo_parameters, timing.servo_hz
+        load_experiment(motion), twin.servo_parameters, timing.servo_hz
     )
-    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.6)))])
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(seconds)))])
 
 
-def fold_back(continuous, time):
-    return Cause(find('i2t_foldback'), 'y_rotate', {'continuous': continuous, 'time': time})
+def fold_back(continuous, time, axis='y_rotate'):
+    return Cause(find('i2t_foldback'), axis, {'continuous': continuous, 'time': time})
 
 
 def test_what_the_logs_tell_nothing_of_reaches_as_far_as_they_are_as_likely(nominal):
@@ -68,6 +68,24 @@ def test_what_the_logs_tell_nothing_of_reaches_as_far_as_they_are_as_likely(nomi
         if bounds.low <= outside.values['time'] <= bounds.high:
             beyond = evaluate(problem, (outside,))
             assert 2.0 * (found.log_likelihood - beyond.log_likelihood) > AS_LIKELY
+
+
+def test_a_limit_that_acts_anywhere_between_two_ticks_reaches_from_one_to_the_other(nominal):
+    level, time = 11.2, 0.005
+    truth = fold_back(level, time, 'x_rotate')
+    problem = log_of(nominal, truth, motion='step', seconds=0.2)
+    right = evaluate(problem, (truth,)).log_likelihood
+    times = time * np.linspace(0.7, 1.6, 181)
+    each = [evaluate(problem, (truth.with_values({'time': one}),)).log_likelihood for one in times]
+    as_likely = times[2.0 * (right - np.array(each)) <= AS_LIKELY]
+    print(f'as likely: {as_likely[0]:g} to {as_likely[-1]:g} s')
+    assert times[0] < as_likely[0] < as_likely[-1] < times[-1]
+    for end in (as_likely[0], as_likely[-1]):  # wherever between the two a fit ends
+        found = fit_causes(problem, (truth.with_values({'time': end}),))
+        low, high = intervals_95(problem, found, 0, standard_errors(found), [])['time']
+        assert low <= time <= high
+        assert low <= as_likely[0] * (1.0 + 0.01)
+        assert high >= as_likely[-1] * (1.0 - 0.01)
 
 
 def test_what_the_logs_tell_reaches_two_standard_errors_and_as_far_as_other_trials(nominal):

@@ -33,6 +33,9 @@ EVALUATIONS = 18
 VANISHING, LEFT = 0.1, 0.5
 """At this share of its scale an effect must be left with less than this share of its size."""
 
+NOTHING = 1e-9
+"""Scale below which there is nothing of an effect but what makes room for it in the machine."""
+
 
 class OutOfReach(UserError):
     """No magnitude within the bounds of the effect has the size wanted on this motion."""
@@ -71,7 +74,7 @@ def scale_of_size(
     the one wanted. Raises `OutOfReach`.
     """
     scale, found = _search(size_at, wanted, largest)
-    if size_at(VANISHING * scale) > LEFT * found:
+    if scale < NOTHING or size_at(VANISHING * scale) > LEFT * found:
         raise NeverNeutral(f'its size is {found:.3g} however little there is of it')
     return scale, found
 

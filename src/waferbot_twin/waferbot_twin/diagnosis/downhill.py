@@ -72,9 +72,9 @@ def downhill(problem: Problem, begun: Cause, found: Hypothesis) -> Hypothesis:
     cause = found.causes[-1]
     if acts_on_bits_alone(problem, cause) and not cause.effect.threshold:
         return _to_the_last_bit(problem, begun, found)
-    blocks = problem.touched(cause.effect, cause.axis)
-    if not cause.effect.threshold or not set(blocks) <= set(problem.exact_blocks):
+    if not problem.is_exact_limit(cause):
         return found
+    blocks = problem.touched(cause.effect, cause.axis)
     plain = (problem.plain_axes(block, found.residuals[block]) for block in blocks)
     return _limit(problem, found, blocks) if any(cause.axis in axes for axes in plain) else found
 

@@ -10,8 +10,9 @@ can go as far, the others as they are, as the logs become by no more than
     2 (ln L_best - ln L) = 3.84
 
 less likely, the 95 % point of chi-squared with one degree of freedom (likelihood ratio; S. S. Wilks,
-Annals of Mathematical Statistics 9, 1938). So can the whole cause, if a fit from another trial explains
-the logs as well: an interval reaches to the values there.
+Annals of Mathematical Statistics 9, 1938). So can a limit that acts from one tick to the next: up to
+the next tick no log knows of it, whatever a difference quotient says. And so can the whole cause, if a
+fit from another trial explains the logs as well: an interval reaches to the values there.
 """
 
 from __future__ import annotations
@@ -59,13 +60,11 @@ def intervals_95(
     # A cause whose covariance nobody knows has fewer errors than parameters: no intervals.
     for item, error, more in zip(parameters_of(problem, cause), errors, same, strict=False):
         value, reach = cause.values[item.name], float(NORMAL_95 * error + more)
-        if reach > 0.0:
-            intervals[item.name] = (value - reach, value + reach)
-        else:
-            low, high = (
-                _as_likely(problem, found, place, item, end) for end in (item.low, item.high)
-            )
-            intervals[item.name] = (low, high)
+        low, high = value - reach, value + reach
+        if reach == 0.0 or problem.is_exact_limit(cause):
+            low = min(low, _as_likely(problem, found, place, item, item.low))
+            high = max(high, _as_likely(problem, found, place, item, item.high))
+        intervals[item.name] = (low, high)
     for other in trials:
         for name, value in other.values.items():
             low, high = intervals.get(name, (cause.values[name], cause.values[name]))

@@ -164,6 +164,11 @@ class Problem:
             found.append(CURRENT_LOOP)
         return tuple(block for block in found if self.blocks[block])
 
+    def is_exact_limit(self, cause: Cause) -> bool:
+        """Return whether a cause is a limit in exact blocks alone: it acts from one tick to the next."""
+        blocks = self.touched(cause.effect, cause.axis)
+        return cause.effect.threshold and set(blocks) <= set(self.exact_blocks)
+
     def sees_both_ends(self, axis: str) -> bool:
         """Return whether every log has the encoders of an axis' motor and of its load."""
         ends = {MOTOR_ENCODER[axis], POSITION_ENCODER[axis]}
