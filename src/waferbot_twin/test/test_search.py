@@ -109,6 +109,9 @@ class World:
     def touched(self, effect, axis):
         return ('plant',)
 
+    def is_exact_limit(self, cause):
+        return False
+
     def hypothesis(self, causes):
         names = frozenset(cause.effect.name for cause in causes)
         self.asked.append(names)
