@@ -282,6 +282,46 @@ def test_a_message_that_does_not_fit_is_refused_with_peer_topic_and_tick(environ
         twin.end()
 
 
+def test_a_recorder_says_that_a_stranger_is_far_ahead(environment, domain, connect):
+    import rclpy
+
+    from waferbot_lockstep.node import make_executor
+    from waferbot_twin.recording.recorder import FURTHEST_TICKS, Recorder
+
+    rogue = connect(domain)
+    topic = LOCKSTEP_TOPICS[3]
+    publisher = rogue.node.create_publisher(waferbot_msgs.msg.PhaseVoltages, topic.name, 50)
+    rclpy.init()
+    recorder = Recorder(None, Timing())
+    executor = make_executor()
+    executor.add_node(recorder)
+
+    def heard(tick, done):
+        voltages = waferbot_msgs.msg.PhaseVoltages(tick=tick, valid=0b111)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline_s
+            publisher.publish(message_of(topic, voltages))
+            executor.spin_once(timeout_sec=0.05)
+
+    try:
+        heard(0, lambda: recorder.tick == 0)
+        heard(FURTHEST_TICKS, lambda: recorder.tick == FURTHEST_TICKS)
+        assert not recorder.failure
+        heard(7542, lambda: recorder.failure)
+        assert recorder.tick == FURTHEST_TICKS
+        assert recorder.failure == (
+            'topic phase_voltages, tick 7542: the twin is at tick 512; somebody else publishes in its '
+            'ROS domain'
+        )
+    finally:
+        executor.remove_node(recorder)
+        executor.shutdown(0.0)
+        recorder.destroy_node()
+        rclpy.try_shutdown()
+
+
+@pytest.mark.alone  # its stranger is still there when the run has given its domain back
 @pytest.mark.parametrize(
     ('topic', 'kind'), [(LOCKSTEP_TOPICS[3], 'NaN'), (LOCKSTEP_TOPICS[0], 'stale')]
 )

@@ -36,6 +36,11 @@ from waferbot_twin.recording.writer import RecordingWriter
 ANNOUNCE_TICKS = RECORDER_WINDOW // 8
 """Ticks between two announcements of how far the recording has come."""
 
+FURTHEST_TICKS = 2 * RECORDER_WINDOW
+"""
+Ticks behind the newest at which no message can be of the same twin, if its plant waits for the recorder.
+"""
+
 
 class Recorder(Node):
     """
@@ -56,7 +61,8 @@ class Recorder(Node):
         Subscribe to everything; with no writer, only keep account.
 
         `needed` is that of `Account`; `clock_needed` says whether `/clock` and `joint_states` must be
-        there too.
+        there too: then the plant is one that waits for the recorder, and a message from far ahead is a
+        stranger's, which would make all that is still to come look old.
         """
         super().__init__('recorder')
         self.account = Account(timing, needed)
@@ -111,6 +117,12 @@ class Recorder(Node):
                 tick, stamp_ns, valid, _ = wire.decode(data)
             except UserError as error:
                 self.failure = f'topic {topic.name}: {error}'
+                return
+            if self._clock_needed and tick > self.tick + FURTHEST_TICKS:
+                self.failure = (
+                    f'topic {topic.name}, tick {tick}: the twin is at tick {max(self.tick, 0)}; '
+                    'somebody else publishes in its ROS domain'
+                )
                 return
             if is_new(tick, valid):
                 if tick > self.tick:
