@@ -14,7 +14,9 @@ off what was not cut off, which is less likely than to cut off nothing. From wha
 
 Limits: an amplifier that only meets its peak current, a bus that sags or a voltage at its limit leave
 currents short, too. Then what is read is one trial more, which explains nothing. A drive in
-field-oriented mode cuts off the command itself: there the level read may be some percent too low.
+field-oriented mode, or with `limit_order` 0, cuts off the command itself: there the level read is up to
+a quarter too low (all lines at +-I_c have an amplitude of 4/3 I_c), and the trials of the library are
+all there is.
 """
 
 from __future__ import annotations
@@ -39,7 +41,10 @@ LEAST_TICKS = 6
 """How long it lacks that at least: the current loop follows a new command in three."""
 
 SETTLED = 4
-"""Ticks after which a current stands where it is held."""
+"""
+Ticks after which a current has about come to where it is held: the level is then read within 2 % where
+10 A were cut off (test_folded_back; four cases on X-Rotate).
+"""
 
 
 def folded_back(problem: Problem) -> list[Effect]:

@@ -38,7 +38,8 @@ ANNOUNCE_TICKS = RECORDER_WINDOW // 8
 
 FURTHEST_TICKS = 2 * RECORDER_WINDOW
 """
-Ticks behind the newest at which no message can be of the same twin, if its plant waits for the recorder.
+Ticks beyond the newest heard at which a message is of another twin, if the plant waits for the recorder:
+none can then be ahead of what is recorded by more than `RECORDER_WINDOW` and a cycle.
 """
 
 
