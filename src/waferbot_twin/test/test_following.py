@@ -78,6 +78,15 @@ def test_a_motor_that_is_less_even_than_its_model_shows_in_harmonics_of_its_cycl
     assert axes_of(nominal, nominal, SEED, 'full_stroke_y_linear') == []
 
 
+@pytest.mark.slow
+def test_what_an_encoder_shows_wrongly_is_told_beside_the_other_one_of_its_axis(nominal):
+    """A tenth of a count over three periods, lost in the noise of the motor's encoder by itself."""
+    print(f'seed {SEED}')
+    error = {'cosine': 0.1, 'sine': 0.04, 'period': 512.0}
+    machine = find('interpolation_error').apply(nominal, 'y_rotate', error)
+    assert axes_of(nominal, machine, SEED) == ['y_rotate']
+
+
 def test_without_a_noise_free_log_nothing_is_said():
     """A log without commands has none, and a model whose loop is unstable."""
     nothing = SimpleNamespace(causes=())

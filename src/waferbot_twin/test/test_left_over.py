@@ -58,21 +58,9 @@ def test_a_cause_that_stands_in_for_another_leaves_some_over_and_is_in_doubt(pro
     found = searched(problem, FEEDFORWARD)
     axes = axes_that_differ(problem, problem, found)
     assert axes == {CONTROLLER: ['y_linear'], AMPLIFIER: ['x_rotate']}
-    rest = LeftOver([], [], {}, axes, [], [], [], [])
+    rest = LeftOver(different=axes)
     assert rest.axes == ['y_linear', 'x_rotate']
     assert rest.in_doubt(FEEDFORWARD, problem)
     assert not rest.in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem)
     # what also acts on the plant is judged by noise there
     assert not rest.in_doubt(cause('force_constant:x_rotate', ratio=0.9), problem)
-
-
-@pytest.mark.slow
-def test_what_makes_an_axis_ring_is_in_doubt_while_it_still_rings_otherwise(problem):
-    bearing = cause('counterweight_bearing_compliance:y_linear', compliance=5e-7)
-    sounding = {'y_linear': 349.5}
-    near = LeftOver([], [], sounding, {}, [], [], [], [])
-    assert near.in_doubt(bearing, problem)
-    assert not near.in_doubt(cause('bearing_moment_compliance:x_rotate', compliance=1e-6), problem)
-    assert not near.in_doubt(cause('coulomb_friction:y_linear', friction=1.0), problem)
-    far = LeftOver(['y_linear'], [], sounding, {}, [], [], [], [])
-    assert not far.in_doubt(bearing, problem)

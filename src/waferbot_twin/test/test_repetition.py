@@ -65,7 +65,7 @@ def test_it_repeats_where_half_of_its_period_is_seen(nominal, name, axis, period
     assert found.after == pytest.approx(period)
     assert found.seen == pytest.approx(0.48 * period, rel=0.01)
     assert f'{name}:{axis}: it would repeat every' in str(found)
-    rest = LeftOver([], [], {}, {}, [], [found], [], [])
+    rest = LeftOver(doubts=[found])
     assert rest.axes == [axis]
     assert rest.in_doubt(cause, too_little)
 

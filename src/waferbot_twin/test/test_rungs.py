@@ -15,7 +15,7 @@ from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.closed_loop_record import simulate
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of
-from waferbot_twin.diagnosis.offered import coarse_readings, limited_commands
+from waferbot_twin.diagnosis.offered import limited_commands
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem
 from waferbot_twin.diagnosis.rungs import between_rungs, rungs
@@ -110,19 +110,6 @@ def test_the_delay_of_an_encoder_does_not_show_where_nothing_moves(nominal):
             # what is left is what a correction of the speed moves within the delay
             before, after = ([one.deviation for one in fit.colours] for fit in spreads)
             assert after == pytest.approx(before, rel=0.003 * (1.0 + delay))
-
-
-def test_steps_of_readings_are_seen_and_small_ranges_are_not(nominal):
-    random = np.random.default_rng(3)
-    reading = random.integers(-500, 500, (2000, 4)).astype(float)
-    reading[:, 1] *= 6.0
-    reading[:, 2] = 4.0 * (reading[:, 2] > 0.0)  # two values say nothing about what lies between
-    problem = SimpleNamespace(nominal=nominal, records=[SimpleNamespace(reading=reading)])
-    (effect,) = coarse_readings(problem)
-    assert effect.axes(nominal) == ('x_rotate',)
-    assert effect.trials(nominal, 'x_rotate') == ({'step': 6.0},)
-    reading[0, 1] += 1.0
-    assert not coarse_readings(problem)
 
 
 def test_the_largest_command_is_tried_as_a_limit(nominal):

@@ -16,7 +16,7 @@ from waferbot_twin.diagnosis.closed_loop_record import run_commanded
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.offered import coarse_readings
+from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.effects import find
@@ -91,7 +91,7 @@ def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
     nominal = host(Variant.of(load_model('rigid')))
     true = Cause(find('coarse_quantisation'), 'y_linear', {'step': 16.0})
     problem = log_of(nominal, true, 'step')
-    (effect,) = coarse_readings(problem)
+    (effect,) = (item for item in offered_effects(problem, []) if item.name == true.effect.name)
     (cause,) = candidates(problem, [effect])
     assert (cause.name, cause.values, cause.free) == (true.name, true.values, 0)
     base = evaluate(problem)

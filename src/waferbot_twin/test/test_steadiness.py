@@ -81,7 +81,7 @@ def test_what_a_cause_stands_in_for_shows_where_it_is_larger(nominal, hidden, na
     assert [item.cause.effect.name for item in doubted] == [named]
     assert doubted[0].with_what == with_what
     assert f'changed with the {with_what} of its axis' in str(doubted[0])
-    rest = LeftOver([], [], {}, {}, [], doubted, [], [])
+    rest = LeftOver(doubts=doubted)
     assert rest.axes == [axis]
     assert rest.in_doubt(search.found.causes[0], finding)
 

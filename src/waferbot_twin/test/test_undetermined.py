@@ -37,7 +37,7 @@ def test_harmonics_that_could_each_be_nothing_are_in_doubt(problem):
     assert found.cause == cause
     assert 'each of its 6 parts by itself could be nothing' in str(found)
     assert 'cogging:x_rotate' in str(found)
-    rest = LeftOver([], [], {}, {}, [], [found], [], [])
+    rest = LeftOver(doubts=[found])
     assert rest.axes == ['x_rotate']
     assert rest.in_doubt(cause, problem)
     other = Cause(find('viscous_friction'), 'x_rotate', {'damping': 1.0})

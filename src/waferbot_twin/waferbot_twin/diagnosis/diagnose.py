@@ -104,7 +104,7 @@ class Diagnosis:
     verdict: str
     causes: list[FoundCause]
     withdrawn: list[Cause]
-    unexplained: list[Cause]
+    unexplained: Sequence[Cause]
     unexplained_where: list[str]
     gains: list[AxisGain]
     where: dict[str, dict[str, float]]

@@ -5,17 +5,20 @@ Does what is left over follow the command? Then something is missing, whatever i
 Noise knows nothing of what was commanded, nor does the noise-free log of the model with the causes
 found (`closed_loop_record`). So what an axis leaves over is regressed on what the command makes that
 axis do there: position, speed, acceleration, currents, some of their products, and the change of each,
-with the noise coloured as it is; and, as another question, on harmonics of the motor's electrical cycle
-there, alone and times the speed: what a motor does that is not as even as its model shows in these. Of
-noise alone, twice the gain in ln L has a chi-squared distribution with as many degrees of freedom as
-there are regressors.
+with the noise coloured as it is, and by the other encoder of its axis where that tells of it; as another
+question, on harmonics of the motor's electrical cycle there, alone and times the speed: what a motor
+does that is not as even as its model shows in these; and as a third on any smooth function of the
+position: scales and screws are not as even, either. Of noise alone, twice the gain in ln L has a
+chi-squared distribution with as many degrees of freedom as there are regressors.
 
 Limit: what a coarse encoder rounds off goes with its position, and is no noise; it is not asked.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -47,6 +50,10 @@ fifth and the seventh of the back-EMF the sixth.
 """
 
 
+ALONG = 8
+"""Cosines on the way of an axis: more are for `position_tones`."""
+
+
 def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[str]:
     """
     Return the axes on which what the causes leave over follows the command, in all logs together.
@@ -70,7 +77,7 @@ def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[st
         for name, axis in {item.name: item.axis for item in problem.channels(block)}.items():
             if axis in axes or (block == PLANT and name in coarse):
                 continue
-            for regressors in (_signals, _harmonics):
+            for regressors in (_signals, _harmonics, _along_the_way):
                 each = [_gained(*one, block, name, regressors) for one in both]
                 count = sum(number for _, number in each)
                 if count and sum(gain for gain, _ in each) > chi2.isf(CHANCE, count):
@@ -99,22 +106,26 @@ def _gained(
     regressors: Callable[[Motion], list[Array]],
 ) -> tuple[float, int]:
     """Return what a channel gains in 2 ln L by regressors, and how many of these there are."""
-    every = zip(problem.channels(block), hypothesis.residuals[block], strict=True)
-    own = [(channel, residual) for channel, residual in every if channel.name == name]
-    if not own:
-        return 0.0, 0
-    channels, left = zip(*own, strict=True)
-    matrices = []
-    for one in channels:
+    channels, left = problem.channels(block), hypothesis.residuals[block]
+    noises, residuals, matrices = [], [], []
+    for place, one in enumerate(channels):
+        if one.name != name:
+            continue
         there = moved[id(one.log.record), one.axis]
-        columns = [
-            np.interp(one.log.times_s(name), there.clock_s, column) for column in regressors(there)
-        ]
-        matrices.append(np.column_stack(columns))
-    noises = [one.noise.alone() for one in channels]
+        columns = np.column_stack(
+            [np.interp(one.log.times_s(name), there.clock_s, own) for own in regressors(there)]
+        )
+        # The other encoder of a pair tells of this one's noise, and is not asked itself.
+        for member in sorted({place, place + one.noise.beside}):
+            noise = channels[member].noise
+            noises.append(replace(noise, beside=int(np.sign(noise.beside))))
+            residuals.append(left[member])
+            matrices.append(columns if member == place else np.zeros_like(columns))
+    if not matrices:
+        return 0.0, 0
     moves = np.any([np.any(matrix != 0.0, axis=0) for matrix in matrices], axis=0)
     with_them, without = (
-        fit(left, [matrix[:, columns] for matrix in matrices], noises).log_likelihood
+        fit(residuals, [matrix[:, columns] for matrix in matrices], noises).log_likelihood
         for columns in (moves, np.zeros_like(moves))
     )
     return 2.0 * (with_them - without), int(np.count_nonzero(moves))
@@ -144,3 +155,12 @@ def _harmonics(axis: Motion) -> list[Array]:
     """Return harmonics of the electrical cycle, from the first sample on, and these times the speed."""
     waves = [wave(order * axis.angle) for order in HARMONICS for wave in (np.cos, np.sin)]
     return [*(wave - wave[0] for wave in waves), *(wave * axis.speed for wave in waves)]
+
+
+def _along_the_way(axis: Motion) -> list[Array]:
+    """Return cosines of 1/2, 1, 3/2 ... periods on the way: any smooth function of the position."""
+    travel = float(np.ptp(axis.position))
+    if travel == 0.0:
+        return []
+    angle = math.pi * (axis.position - axis.position.min()) / travel
+    return [np.cos(order * angle) - np.cos(order * angle[0]) for order in range(1, ALONG + 1)]

@@ -2,28 +2,35 @@
 """
 What the causes leave unexplained, and where.
 
-Nine kinds of evidence, none of which names a cause: the plant still moves as no noise would make it; a
-block whose output follows from its input to the last bit still does something else; what is left follows
-the command (`following`); it has the same tone in all logs (`tones`); the logs want different values of
-a cause (`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its
-parts is told, or not that it fades (`undetermined`); it is said to repeat where no log goes so far
-(`repetition`); or a table of force over speed or position explains it.
+Thirteen kinds of evidence, none of which names a cause: the plant still moves as no noise would make it;
+a block whose output follows from its input to the last bit still does something else; what is left
+follows the command (`following`); it has the same tone in all logs (`tones`), the same line in its
+spectrum (`spectral_lines`), or comes back along the way of an encoder (`position_tones`); an encoder
+shows fewer values than the model's (`coarseness`); the logs want different values of a cause
+(`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its parts is
+told, or not that it fades (`undetermined`); it is said to repeat where no log goes so far
+(`repetition`); it makes the machine ring, which still rings (`still_ringing`); or a table of force over
+speed or position explains it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
+from waferbot_twin.diagnosis.coarseness import coarser_steps
 from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.nonparametric import tables
+from waferbot_twin.diagnosis.position_tones import lasting_periods
 from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.repetition import Unrepeated, unrepeated
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
+from waferbot_twin.diagnosis.spectral_lines import lasting_lines
 from waferbot_twin.diagnosis.steadiness import Unsteady, unsteady
+from waferbot_twin.diagnosis.still_ringing import StillRinging, still_ringing
 from waferbot_twin.diagnosis.together import far_channels
 from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.diagnosis.undetermined import Undetermined, undetermined
@@ -35,7 +42,7 @@ Share of what the model left over, in 2 ln L, that right causes may leave in an 
 values are found to some parts of a thousand, and then single bits differ.
 """
 
-Doubt = Unsteady | Undetermined | Unrepeated
+Doubt = Unsteady | Undetermined | Unrepeated | StillRinging
 """Why one cause may stand in for something else."""
 
 
@@ -45,25 +52,28 @@ class LeftOver:
     What the causes leave unexplained.
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
-    the command; by axis the frequency, Hz, of a tone (`sounding`); by block those with something
-    `different`; causes on which the logs are `disagreeing`, and those in doubt for other reasons;
-    `tables` of force that explain it.
+    the command; by axis the frequency, Hz, of a tone or line (`sounding`), and the period, counts of its
+    encoder, after which something is `repeating`; the step, counts, of an encoder that is `coarser`; by
+    block those with something `different`; causes on which the logs are `disagreeing`, and those in
+    doubt for other reasons; `tables` of force that explain it.
     """
 
-    moving: list[str]
-    following: list[str]
-    sounding: Mapping[str, float]
-    different: Mapping[str, Sequence[str]]
-    disagreeing: list[Disagreement]
-    doubts: list[Doubt]
-    tables: list[Cause]
-    notes: list[str]
+    moving: Sequence[str] = ()
+    following: Sequence[str] = ()
+    sounding: Mapping[str, float] = field(default_factory=dict)
+    repeating: Mapping[str, float] = field(default_factory=dict)
+    coarser: Mapping[str, float] = field(default_factory=dict)
+    different: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    disagreeing: Sequence[Disagreement] = ()
+    doubts: Sequence[Doubt] = ()
+    tables: Sequence[Cause] = ()
+    notes: Sequence[str] = ()
 
     @property
     def axes(self) -> list[str]:
         """All axes on which something is left unexplained, each once."""
-        every = [cause.axis for cause in self.tables] + self.moving + self.following
-        every += self.sounding
+        every = [cause.axis for cause in self.tables]
+        every += [*self.moving, *self.following, *self.sounding, *self.repeating, *self.coarser]
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
         every += [item.cause.axis for item in self.doubts]
@@ -73,13 +83,9 @@ class LeftOver:
         """
         Return whether there is reason to doubt a cause.
 
-        The logs disagree on its values, it seems larger in one place than in another, they tell none of
-        its parts or not that it repeats, it makes its axis ring, but the axis still rings otherwise
-        (where the model is near the machine: a swing has tones, too), or it acts in exact blocks alone,
-        one of which still does something else.
+        The logs disagree on its values, one of `doubts` says so, or it acts in exact blocks alone, one
+        of which still does something else.
         """
-        if cause.effect.rings and cause.axis in self.sounding and not self.moving:
-            return True
         if any(item.cause.name == cause.name for item in (*self.disagreeing, *self.doubts)):
             return True
         touched = problem.touched(cause.effect, cause.axis)
@@ -94,10 +100,15 @@ def left_over(
     """Ask for all kinds of evidence; for tables only where the plant is near the machine."""
     moving = axes_that_move(problem, found)
     following = axes_that_follow(problem, judge, found)
-    sounding = lasting_tones(problem, found.found, judge, found.judged)
+    both = problem, found.found, judge, found.judged
+    sounding = lasting_lines(*both) | lasting_tones(*both)
+    repeating = lasting_periods(*both)
+    coarser = coarser_steps(
+        apply_all(problem.nominal, found.found.causes), (*problem.records, *judge.records)
+    )
     different = axes_that_differ(problem, judge, found)
     disagreeing = [] if moving else disagreements(problem, judge, found)
-    doubts = [] if moving else _doubts(problem, judge, found)
+    doubts = [] if moving else _doubts(problem, judge, found, sounding)
     tables_found = [] if moving else _tables(problem, judge, found, progress, workers)
     notes = [
         f'the {block} of {axis} still does something else than the model: causes in it are in doubt'
@@ -113,21 +124,41 @@ def left_over(
         f'what is left over on {axis} has a tone of {frequency_hz:.1f} Hz in all logs'
         for axis, frequency_hz in sounding.items()
     ]
+    notes += [
+        f'what is left over on {axis} comes back every {period:.1f} counts of its encoder in all logs'
+        for axis, period in repeating.items()
+    ]
+    notes += [
+        f'what {axis} shows are multiples of {step:g} counts, more than of the encoder of the model'
+        for axis, step in coarser.items()
+    ]
     if moving and found.found.causes:
         notes.append(
             f'what is left over on {", ".join(moving)} is no noise: the machine differs in more than '
             'the causes found, and their values are those that stand in for it best'
         )
     return LeftOver(
-        moving, following, sounding, different, disagreeing, doubts, tables_found, notes
+        moving=moving,
+        following=following,
+        sounding=sounding,
+        repeating=repeating,
+        coarser=coarser,
+        different=different,
+        disagreeing=disagreeing,
+        doubts=doubts,
+        tables=tables_found,
+        notes=notes,
     )
 
 
-def _doubts(problem: Problem, judge: Problem, found: Search) -> list[Doubt]:
+def _doubts(
+    problem: Problem, judge: Problem, found: Search, sounding: Mapping[str, float]
+) -> list[Doubt]:
     return [
         *unsteady(problem, judge, found),
         *undetermined(problem, found.found),
         *unrepeated(found.found.causes, problem, judge),
+        *still_ringing(problem, found.found, sounding),
     ]
 
 

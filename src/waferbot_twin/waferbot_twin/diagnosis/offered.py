@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES
+from waferbot_twin.diagnosis.coarseness import coarser_steps
 from waferbot_twin.diagnosis.folded_back import folded_back
 from waferbot_twin.diagnosis.position_spectrum import orders_of
 from waferbot_twin.diagnosis.problem import Problem
-from waferbot_twin.diagnosis.record import common_step
 from waferbot_twin.effects import (
     coarse_quantisation,
     cogging,
@@ -24,37 +24,19 @@ from waferbot_twin.effects import (
     library,
     output_limit,
     places,
-    sensors,
 )
 from waferbot_twin.effects.effect import Effect
-
-LEAST_READINGS = 20
-"""Different readings that an encoder must have shown for their common step to be its resolution."""
 
 
 def offered_effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
     """Return the effects to look for: the library's, with the sizes that the logs show themselves."""
     effects = {name: [effect] for name, effect in library().items()}
     effects[cogging.NAME] += _cogging_of_imported_logs(problem)
-    effects[coarse_quantisation.NAME] = coarse_readings(problem)
+    steps = coarser_steps(problem.nominal, problem.records)
+    effects[coarse_quantisation.NAME] = [coarse_quantisation.with_steps(steps)] if steps else []
     effects[output_limit.NAME] += limited_commands(problem)
     effects[i2t_foldback.NAME] += folded_back(problem)
     return [item for name, found in effects.items() if name not in without for item in found]
-
-
-def coarse_readings(problem: Problem) -> list[Effect]:
-    """Return coarse quantisation with the steps that the readings of all logs have in common."""
-    steps = {}
-    for axis in sensors.measured_axes(problem.nominal):
-        encoder = sensors.of_axis(problem.nominal, axis)
-        readings = np.concatenate(
-            [record.reading[:, ENCODERS.index(encoder.place)] for record in problem.records]
-        )
-        known = np.unique(readings[np.isfinite(readings)])
-        step = float(common_step(known))
-        if len(known) >= LEAST_READINGS and step > encoder.errors.coarseness:
-            steps[axis] = step
-    return [coarse_quantisation.with_steps(steps)] if steps else []
 
 
 def limited_commands(problem: Problem) -> list[Effect]:

@@ -24,44 +24,28 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.ndimage import median_filter
-from scipy.signal import hilbert, spectrogram
-from scipy.stats import chi2
+from scipy.signal import hilbert
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.modes import Mode, coupled_modes
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, whole_change
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.plant_block import OBSERVER_HZ
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.spectral_lines import (
+    NEAR,
+    SAME_RATE,
+    Line,
+    line_at,
+    lines,
+    spectrum_of,
+    strongest,
+)
 from waferbot_twin.diagnosis.together import far
-
-SEGMENT, BRIEF = 1024, 256
-"""
-Samples of the pieces whose spectra are averaged, and of those that are looked at one by one: a ring that
-the loop damps in a tenth of a second is lost in the mean over a log.
-"""
-
-BACKGROUND = 41
-"""Lines of a spectrum whose median is its background; fewer with brief pieces, as wide in hertz."""
-
-OVERLAPPING = 0.9
-"""Independent pieces that each of the pieces, which overlap by half, is worth."""
-
-CHANCE = 0.01
-"""Probability that white noise alone has a line."""
-
-ABOUT = 1.15
-"""Margin for the background of a single piece, which is known to a tenth or so."""
-
-MOST_LINES = 3
-"""How many lines are tried: each costs up to some twenty simulations for every compliance."""
 
 OWN = 0.3
 """Share of a mode's energy that a part has at least for the mode to be its own."""
@@ -71,12 +55,6 @@ ALIKE = 10.0
 Ratio of RMS changes about a line within which a compliance may have made it: a few times too much
 of it is shaken by more than the right one is.
 """
-
-NEAR = 0.06
-"""Share of a frequency that the observer, and what other parts give, may move a line."""
-
-SAME_RATE = 1e-6
-"""Share by which rates of samples may differ that are the same."""
 
 FOLDS = 2
 """Up to which multiple of the rate of the samples a ring may lie."""
@@ -122,21 +100,6 @@ The best of seven independent values, each in the phase that suits (two degrees 
 """
 
 
-@dataclass(frozen=True)
-class Line:
-    """
-    A line in the spectrum of a channel: frequency, power over background, rate of samples, Hz.
-
-    `excess` is the prominence over the least that counts. A `brief` one is that of a single piece.
-    """
-
-    channel: str
-    frequency_hz: float
-    excess: float
-    rate_hz: float
-    brief: bool = False
-
-
 def screen_lines(
     problem: Problem, base: Hypothesis, rivals: Sequence[Cause], workers: int = 1
 ) -> list[Screened]:
@@ -160,115 +123,6 @@ def may_ring(problem: Problem, cause: Cause) -> bool:
     """Return whether a cause is the compliance, not yet tuned, of what the model holds rigid."""
     rigid = all(item.neutral == 0.0 for item in parameters_of(problem, cause))
     return cause.effect.rings and rigid and not cause.narrow
-
-
-def lines(problem: Problem, base: Hypothesis, brief: bool = True) -> list[Line]:
-    """
-    Return the most prominent lines of what the plant leaves over, above what the observer holds.
-
-    Those of single pieces only if they are asked for, `brief`.
-    """
-    found: list[Line] = []
-    channels = list(dict.fromkeys(problem.channel_names(PLANT)))
-    for channel, piece in itertools.product(channels, (False, True) if brief else (False,)):
-        spectrum = _spectrum(problem, base.residuals[PLANT], channel, piece)
-        if spectrum is None:
-            continue
-        excess = spectrum.prominence / _least_prominence(spectrum, len(channels))
-        # A line may be at half the rate of the samples, where the spectrum ends.
-        above = np.append(excess[2:], 0.0)
-        peaks = 1 + np.flatnonzero(
-            (excess[1:] > np.maximum(excess[:-1], np.maximum(above, 1.0)))
-            & (spectrum.frequency_hz[1:] > OBSERVER_HZ)
-        )
-        found += [
-            Line(
-                channel,
-                float(spectrum.frequency_hz[peak]),
-                float(excess[peak]),
-                spectrum.rate_hz,
-                piece,
-            )
-            for peak in peaks
-        ]
-    chosen: list[Line] = []
-    for line in sorted(found, key=lambda line: (line.brief, -line.excess)):
-        apart = all(abs(line.frequency_hz / other.frequency_hz - 1.0) > NEAR for other in chosen)
-        if apart and len(chosen) < MOST_LINES:
-            chosen.append(line)
-    return chosen
-
-
-def _least_prominence(spectrum: _Spectrum, channels: int) -> float:
-    """
-    Return the power over the median that one of the lines of noise exceeds with `CHANCE`.
-
-    The mean power of K independent pieces has a chi-squared distribution with 2 K degrees of freedom,
-    that of each of K pieces one with 2.
-    """
-    lines = len(spectrum.power) * channels
-    if spectrum.brief:
-        one = chi2(2.0)
-        return float(ABOUT * one.isf(CHANCE / (lines * spectrum.pieces)) / one.median())
-    distribution = chi2(2.0 * spectrum.pieces)
-    return float(distribution.isf(CHANCE / lines) / distribution.median())
-
-
-@dataclass(frozen=True)
-class _Spectrum:
-    """
-    Rate of the samples, frequencies, power density with its `prominence`, and of how many pieces.
-
-    It is the mean of the pieces, or, `brief`, the largest of any; the prominence is over the background,
-    with pieces as loud as one another.
-    """
-
-    rate_hz: float
-    frequency_hz: Array
-    power: Array
-    prominence: Array
-    pieces: float
-    brief: bool
-
-
-def _spectrum(
-    problem: Problem, channels: Sequence[Array], name: str, brief: bool
-) -> _Spectrum | None:
-    """Return the spectrum of a channel in all logs with its rate; None if all are too short."""
-    length = BRIEF if brief else SEGMENT
-    rate_hz, frequency_hz = 0.0, np.zeros(0)
-    pieces: list[Array] = []
-    every = zip(problem.channel_names(PLANT), problem.plant_rates_hz, channels, strict=True)
-    for own, rate, channel in every:
-        if own != name or len(channel) < length:
-            continue
-        if rate_hz and abs(rate / rate_hz - 1.0) > SAME_RATE:
-            continue
-        rate_hz = rate
-        frequency_hz, _, power = spectrogram(
-            channel, rate, 'hann', length, length // 2, detrend='constant'
-        )
-        pieces.append(power.T)
-    if not pieces:
-        return None
-    powers = np.vstack(pieces)
-    count = OVERLAPPING * len(powers)
-    # Noise is louder while an axis moves over counts: each piece has a level of its own.
-    shape = _background(np.median(powers, axis=0), length)
-    level = np.maximum(np.median(powers / shape, axis=1), 1e-300)
-    levelled = powers / level[:, None]
-    if brief:
-        prominence = (levelled / shape).max(axis=0)
-        return _Spectrum(rate_hz, frequency_hz, powers.max(axis=0), prominence, count, brief)
-    mean = levelled.mean(axis=0)
-    prominence = mean / _background(mean, length)
-    return _Spectrum(rate_hz, frequency_hz, powers.mean(axis=0), prominence, count, brief)
-
-
-def _background(power: Array, length: int) -> Array:
-    """Return the median about each line of a spectrum of pieces of a length."""
-    lines = BACKGROUND * length // SEGMENT + 1 - BACKGROUND * length // SEGMENT % 2
-    return np.maximum(median_filter(power, lines), 1e-300)
 
 
 def _at_lines(
@@ -317,13 +171,13 @@ def _agrees(problem: Problem, base: Hypothesis, mode: Mode, line: Line) -> bool:
     encoders = problem.nominal.description.encoders
     moves, measured = {}, {}
     for name in dict.fromkeys(problem.channel_names(PLANT)):
-        spectrum = _spectrum(problem, base.residuals[PLANT], name, line.brief)
+        spectrum = spectrum_of(problem, base.residuals[PLANT], name, line.brief)
         # With another rate of samples a ring is folded to another frequency.
         if spectrum is None or abs(spectrum.rate_hz / line.rate_hz - 1.0) > SAME_RATE:
             continue
         encoder = encoders[name]
         moves[name] = abs(mode.shape.get(encoder.coordinate, 0.0) * encoder.counts_per_unit)
-        _, measured[name] = _strongest(spectrum, line, NEAR * line.frequency_hz)
+        _, measured[name] = strongest(spectrum, line, NEAR * line.frequency_hz)
     own = moves[line.channel]
     return all(
         measured[line.channel] * moves[name] <= ALIKE * measured[name] * own for name in moves
@@ -382,14 +236,12 @@ def _on_line(
     Raises `UserError` if the simulation blows up.
     """
     (name,) = start.narrow
-    measured_hz, measured = _line_at(
-        problem, base.residuals[PLANT], line, NEAR * line.frequency_hz
-    )
+    measured_hz, measured = line_at(problem, base.residuals[PLANT], line, NEAR * line.frequency_hz)
     best = start
     for _ in range(CORRECTIONS):
         change = whole_change(problem, base, (*base.causes, best))[PLANT]
         channels = by_channel(change[:, 0], base.residuals[PLANT])
-        shown_hz, shown = _line_at(problem, channels, line, NEAR * frequency_hz)
+        shown_hz, shown = line_at(problem, channels, line, NEAR * frequency_hz)
         if not measured / ALIKE < shown < measured * ALIKE:
             return None
         too_high_hz = sign * (shown_hz - measured_hz)
@@ -491,24 +343,3 @@ def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
         both[block] = np.column_stack([matrix, later])
     found = fit_jointly(problem, base.residuals, both, known=base.fits)
     return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
-
-
-def _line_at(
-    problem: Problem, channels: Sequence[Array], line: Line, within_hz: float
-) -> tuple[float, float]:
-    """Return the frequency of the strongest line near another, Hz, and its RMS value, counts."""
-    spectrum = _spectrum(problem, channels, line.channel, line.brief)
-    assert spectrum is not None  # it has a line
-    return _strongest(spectrum, line, within_hz)
-
-
-def _strongest(spectrum: _Spectrum, line: Line, within_hz: float) -> tuple[float, float]:
-    """Return the same of a spectrum."""
-    near = np.flatnonzero(np.abs(spectrum.frequency_hz - line.frequency_hz) < within_hz)
-    strongest = int(near[np.argmax(spectrum.power[near])])
-    about = slice(max(strongest - 2, 0), strongest + 3)
-    power, frequency_hz = spectrum.power[about], spectrum.frequency_hz[about]
-    total = float(power.sum())
-    middle_hz = float(power @ frequency_hz) / total if total > 0.0 else line.frequency_hz
-    spacing_hz = float(spectrum.frequency_hz[1])
-    return middle_hz, math.sqrt(total * spacing_hz)

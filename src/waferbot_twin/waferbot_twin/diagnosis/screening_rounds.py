@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, signature
 from waferbot_twin.diagnosis.jointly import Signature
+from waferbot_twin.diagnosis.position_tones import at_periods
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.resonances import screen_lines
 from waferbot_twin.diagnosis.screening import Change, Progress, Screened, screen, signatures
@@ -75,11 +76,12 @@ class Rounds:
         def found_anew(causes: Sequence[Cause]) -> list[Change | None]:
             return signatures(problem, base, causes, self._workers, self._progress)
 
+        tuned = [*at_tones(problem, base, rivals), *at_periods(problem, base, rivals)]
         return _best_first(
             [
                 *self._promises(base, again, found_anew, anew=True),
                 *kept,
-                *self._promises(base, at_tones(problem, base, rivals), found_anew, anew=True),
+                *self._promises(base, tuned, found_anew, anew=True),
                 *(item for item in self._lines(base, rivals) if item.cause.name not in taken),
             ]
         )

@@ -90,13 +90,13 @@ class Effect:
     it is `tried_at` so many times its typical size, if a little of it says nothing of more; one that
     grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
     `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
-    else. One whose name says that it repeats along the way `repeats_after` a length, m or rad of its
-    axis (0: never), one whose name says that it fades away has the time constant that `fades_after`
-    names. Of a `usual` one every machine has some: where a model is far off, it is likely
-    among what lacks. One that is `evident` stands in the readings themselves, and no noise feigns it;
-    one in the `drive_train` stands in the difference of the encoders of motor and load, if there are
-    both. Where one is not `distinct` in a model, the effect `same_as` does exactly the same and stands
-    for it.
+    else; `cycle` is that which is a period in counts of the axis' encoder. One whose name says that it
+    repeats along the way `repeats_after` a length, m or rad of its axis (0: never), one whose name says
+    that it fades away has the time constant that `fades_after` names. Of a `usual` one every machine
+    has some: where a model is far off, it is likely among what lacks. One that is `evident` stands in
+    the readings themselves, and no noise feigns it; one in the `drive_train` stands in the difference
+    of the encoders of motor and load, if there are both. Where one is not `distinct` in a model, the
+    effect `same_as` does exactly the same and stands for it.
     """
 
     name: str
@@ -115,6 +115,7 @@ class Effect:
     evident: bool = False
     drive_train: bool = False
     tone: str = ''
+    cycle: str = ''
     repeats_after: Length = never
     fades_after: str = ''
     same_as: str = ''

@@ -74,5 +74,6 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     _trials,
+    cycle='period',
     equation='n_shown = n + cosine cos kn + sine sin kn, k = 2 pi / period',
 )
