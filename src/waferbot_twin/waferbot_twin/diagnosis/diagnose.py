@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.alike import Alike, alike, confidence_in, weighed_by_evidence
 from waferbot_twin.diagnosis.compile_ahead import compile_ahead
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
@@ -26,14 +27,13 @@ from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, standard_errors
 from waferbot_twin.diagnosis.intervals import Intervals, intervals_95
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
-from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search import search
-from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
+from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.diagnosis.withdrawal import that_wins
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Effect, Parameter
@@ -46,26 +46,11 @@ from waferbot_twin.recording.reader import recording_files, recording_of
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
 
-UNRIVALLED = 0.8
-"""Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
-
 DOUBTFUL = 0.5
 """
 Confidence at most in a cause that leaves some over in a block where a right one leaves nothing, or on
 whose values the logs disagree.
 """
-
-MOST_ALIKE = 2
-"""How many causes at most are named that the logs cannot tell from one that was found."""
-
-
-@dataclass(frozen=True)
-class Alike:
-    """A cause that explains the logs as well: how much less likely it is, and how alike it looks."""
-
-    cause: Cause
-    behind: float
-    correlation: float
 
 
 @dataclass(frozen=True)
@@ -203,7 +188,7 @@ def diagnose(
     notes += _stands_for(extended, found.found.causes)
     notes += _out_of_step(found.found.causes, axis_gains)
     where = _where(problem, found)
-    found_causes = _found_causes(problem, found, rest)
+    found_causes = _found_causes(problem, judge, found, rest)
     return Diagnosis(
         nominal,
         extended,
@@ -301,15 +286,17 @@ def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
     return 'unexplained' if left_over else 'consistent'
 
 
-def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[FoundCause]:
+def _found_causes(
+    problem: Problem, judge: Problem, found: Search, rest: LeftOver
+) -> list[FoundCause]:
     """Return the causes with their evidence, the strongest first."""
     errors = standard_errors(found.found)
     result, first = [], 0
     for place, cause in enumerate(found.found.causes):
         own = errors[first : first + cause.free]
         first += cause.free
-        rivals = found.rivals.get(cause.name, [])
-        confidence = _confidence(rivals, len(found.found.causes))
+        weighed = weighed_by_evidence(problem, judge, found, place)
+        confidence = confidence_in(weighed, len(found.found.causes))
         if rest.in_doubt(cause, problem):
             confidence = min(confidence, DOUBTFUL)
         result.append(
@@ -319,45 +306,10 @@ def _found_causes(problem: Problem, found: Search, rest: LeftOver) -> list[Found
                 intervals_95(problem, found.found, place, own, found.trials.get(cause.name, [])),
                 float(found.gains.get(cause.name, 0.0)),
                 confidence,
-                tuple(_alike(problem, found, cause, rivals)),
+                tuple(alike(problem, found, cause, weighed)),
             )
         )
     return sorted(result, key=lambda item: -item.delta_bic)
-
-
-def _alike(
-    problem: Problem, found: Search, cause: Cause, rivals: Sequence[Rival]
-) -> Iterator[Alike]:
-    """
-    Give the most plausible rivals of a cause that the logs cannot tell from it.
-
-    Every effect that contains the cause as a special case explains the logs as well (of a friction there
-    are six); more than a few help nobody to decide what to do. They are those that are best by Akaike's
-    criterion: Schwarz' would always put one with more parameters behind, and of those that were chosen
-    because they are simple one with more parameters is often the truth.
-    """
-    alike = [item for item in rivals if item.less_likely < TELLS_APART]
-
-    def unlikely(item: Rival) -> float:
-        return item.less_likely + 2.0 * item.cause.free
-
-    for item in sorted(alike, key=unlikely)[:MOST_ALIKE]:
-        try:
-            correlation = likeness(problem, found.found, cause, item.cause)
-        except UserError:
-            correlation = math.nan
-        yield Alike(item.cause, item.behind, correlation)
-
-
-def _confidence(rivals: Sequence[Rival], causes: int) -> float:
-    """
-    Return how sure it is that this and not a rival is the cause: weights by Schwarz' criterion.
-
-    Of a cause that was fitted together with others nobody knows what else could stand in its place.
-    """
-    if not rivals and causes > 1:
-        return UNRIVALLED
-    return 1.0 / (1.0 + sum(math.exp(-0.5 * max(item.behind, -100.0)) for item in rivals))
 
 
 def _where(problem: Problem, found: Search) -> dict[str, dict[str, float]]:

@@ -16,7 +16,8 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from waferbot_twin.cli.console import finite, significant
-from waferbot_twin.diagnosis.diagnose import Alike, Diagnosis, FoundCause
+from waferbot_twin.diagnosis.alike import Alike
+from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import PLANT, UNITS
