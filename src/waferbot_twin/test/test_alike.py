@@ -88,6 +88,10 @@ def test_a_rival_with_parameters_that_the_logs_do_not_tell_is_as_likely(short):
     (named,) = alike(short, search, COULOMB, [first, far])
     assert named.cause.name == 'position_dependent_friction:y_linear'
     assert named.correlation > 0.99
+    elsewhere = Rival(Cause(find('coulomb_friction'), 'y_rotate', {'friction': 0.1}), 1.0, 1.0)
+    search.rivals = {COULOMB.name: [elsewhere]}
+    weighed = weighed_by_evidence(short, short, search, 0)
+    assert list(alike(short, search, COULOMB, weighed)) == []  # as likely, but something else
 
 
 def test_a_cause_without_rivals_is_sure_only_if_it_was_found_alone():

@@ -39,6 +39,9 @@ from waferbot_twin.diagnosis.whitening import in_deviations
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""
 
+LEAST_CORRELATION = 0.3
+"""Below it two causes explain different things, as much by chance."""
+
 UNRIVALLED = 0.8
 """Confidence in a cause beside others that no rival was fitted in place of: likely, not more."""
 
@@ -121,12 +124,18 @@ def alike(
     def unlikely(item: Weighed) -> float:
         return item.rival.less_likely + 2.0 * item.told
 
-    for item in sorted(close, key=unlikely)[:MOST_ALIKE]:
+    given = 0
+    for item in sorted(close, key=unlikely):
         try:
             correlation = likeness(problem, found.found, cause, item.rival.cause)
         except UserError:
             correlation = math.nan
+        if abs(correlation) < LEAST_CORRELATION:
+            continue
         yield Alike(item.rival.cause, item.behind, correlation)
+        given += 1
+        if given == MOST_ALIKE:
+            return
 
 
 def confidence_in(weighed: Sequence[Weighed], causes: int) -> float:

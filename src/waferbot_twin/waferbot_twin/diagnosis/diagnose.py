@@ -46,6 +46,9 @@ from waferbot_twin.recording.reader import recording_files, recording_of
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""
 
+UNFINISHED = 0.8
+"""Confidence at most in a cause on an axis on which something is left unexplained: likely, not more."""
+
 DOUBTFUL = 0.5
 """
 Confidence at most in a cause that leaves some over in a block where a right one leaves nothing, or on
@@ -297,6 +300,8 @@ def _found_causes(
         first += cause.free
         weighed = weighed_by_evidence(problem, judge, found, place)
         confidence = confidence_in(weighed, len(found.found.causes))
+        if cause.axis in rest.axes:
+            confidence = min(confidence, UNFINISHED)
         if rest.in_doubt(cause, problem):
             confidence = min(confidence, DOUBTFUL)
         result.append(
