@@ -49,12 +49,15 @@ def causes():
 class World:
     """Logs of which nobody knows more than how likely each cause makes them."""
 
-    def __init__(self, monkeypatch, in_all, in_judging):
+    def __init__(self, monkeypatch, in_all, in_judging, feigned=()):
         self.fitted = []
         self.in_all, self.in_judging = in_all, in_judging
         monkeypatch.setattr(rivalry, 'Problem', lambda nominal, records: 'all')
         monkeypatch.setattr(rivalry, 'fit_causes', self.fit)
         monkeypatch.setattr(rivalry, 'evaluate', lambda problem, causes: self.judge(causes))
+        monkeypatch.setattr(
+            rivalry, 'feigned', lambda *logs: logs[-1].found.causes[-1].name in feigned
+        )
 
     def fit(self, problem, causes):
         if problem == 'all':
@@ -137,3 +140,12 @@ def test_a_better_one_takes_the_place_if_it_judges_not_much_worse(
     assert before.cause == own
     assert before.less_likely == pytest.approx(30.0)
     assert found.gains[rival.name] == pytest.approx(130.0)
+
+
+def test_what_noise_in_the_current_loop_feigns_takes_no_place_and_is_no_rival(monkeypatch, causes):
+    own, rival, other = causes
+    likely = {own.name: 900.0, rival.name: 930.0, other.name: 895.0}
+    world = World(monkeypatch, likely, dict.fromkeys(likely, 500.0), feigned=[rival.name])
+    found = world.search(own, Rival(rival, 9.0, 9.0, 4.0), Rival(other, 9.0, 9.0, 4.0))
+    assert found.found.causes == (own,)
+    assert [item.cause for item in found.rivals[own.name]] == [other]

@@ -84,9 +84,8 @@ def weighed(
     Return a hypothesis with whether it is to be believed beside `base`, that without its new causes.
 
     It has to gain `needed` in 2 ln L, or nearly so much and as much again in the logs for judging, and
-    these must not speak against it. What the
-    command causes has to pay for the hypothesis in all logs together: a motion may be so slow that noise
-    decides when an axis slides.
+    these must not speak against it. What the command causes has to pay for the hypothesis in all logs
+    together: a motion may be so slow that noise decides when an axis slides.
     """
     gained = 2.0 * (item.found.log_likelihood - base.found.log_likelihood)
     confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
@@ -112,6 +111,18 @@ def weighed(
             and confirmed >= max(least, SHARE * in_judging.expected)
         )
     return replace(item, confirmed=believed)
+
+
+def feigned(finding: Problem, judging: Problem, base: Fitted, item: Fitted) -> bool:
+    """
+    Return whether noise in the current loop made the last cause of a hypothesis.
+
+    `base` is the same without it. Raises `UserError` if the model's loop is unstable.
+    """
+    return _too_little(
+        caused_by_command(finding, base.found, item.found),
+        caused_by_command(judging, base.judged, item.judged),
+    )
 
 
 def _too_little(*logs: ByCommand) -> bool:

@@ -16,6 +16,7 @@ from dataclasses import replace
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.confirmation import Fitted, feigned
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem
@@ -54,7 +55,8 @@ def weighed_in_all_logs(
     Return a search whose rivals are weighed by fits to all logs together.
 
     A cause gives way to a rival that is better so, if with the values from the logs for finding that
-    explains those for judging, too, not much worse at least.
+    explains those for judging, too, not much worse at least, and if it is not feigned by noise in the
+    current loop (`confirmation`): that one is no rival.
     """
     every: Problem | None = None
     weighed: Hypothesis | None = None
@@ -125,12 +127,20 @@ def _weighed(
     best = preferred(scores)
     if best == 0:
         return found
+    other_causes = (*causes[:place], *causes[place + 1 :])
     try:
         instead = exchanged(problem, judge, found, place, rivals[best - 1])
-        without = evaluate(judge, (*causes[:place], *causes[place + 1 :]))
+        without, with_it = (
+            Fitted(evaluate(problem, some), evaluate(judge, some))
+            for some in (other_causes, (*other_causes, instead.found.causes[place]))
+        )
+        is_feigned = feigned(problem, judge, without, with_it)
     except UserError:
         return found
-    gained = 2.0 * (found.judged.log_likelihood - without.log_likelihood)
+    if is_feigned:
+        real = [item for item in found.rivals[own.name] if item is not rivals[best - 1]]
+        return replace(found, rivals={**found.rivals, own.name: real})
+    gained = 2.0 * (found.judged.log_likelihood - without.judged.log_likelihood)
     lost = 2.0 * (found.judged.log_likelihood - instead.judged.log_likelihood)
     return found if lost > max(TELLS_APART, LOST * gained) else instead
 
