@@ -11,7 +11,7 @@ import pytest
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_twin.diagnosis.following import axes_that_follow
+from waferbot_twin.diagnosis.following import _along_the_way, axes_that_follow
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Problem
@@ -85,6 +85,14 @@ def test_what_an_encoder_shows_wrongly_is_told_beside_the_other_one_of_its_axis(
     error = {'cosine': 0.1, 'sine': 0.04, 'period': 512.0}
     machine = find('interpolation_error').apply(nominal, 'y_rotate', error)
     assert axes_of(nominal, machine, SEED) == ['y_rotate']
+
+
+def test_an_axis_that_stands_has_nothing_along_its_way():
+    """Each log has as many regressors, whether the axis moves there or not."""
+    stands, moves = (SimpleNamespace(position=np.linspace(0.0, way, 50)) for way in (0.0, 9.0))
+    assert not np.any(_along_the_way(stands))
+    assert len(_along_the_way(stands)) == len(_along_the_way(moves))
+    assert np.all(np.ptp(_along_the_way(moves), axis=1) > 1.9)
 
 
 def test_without_a_noise_free_log_nothing_is_said():

@@ -159,8 +159,6 @@ def _harmonics(axis: Motion) -> list[Array]:
 
 def _along_the_way(axis: Motion) -> list[Array]:
     """Return cosines of 1/2, 1, 3/2 ... periods on the way: any smooth function of the position."""
-    travel = float(np.ptp(axis.position))
-    if travel == 0.0:
-        return []
-    angle = math.pi * (axis.position - axis.position.min()) / travel
+    way = axis.position - axis.position.min()
+    angle = math.pi * way / (float(way.max()) or 1.0)
     return [np.cos(order * angle) - np.cos(order * angle[0]) for order in range(1, ALONG + 1)]

@@ -104,7 +104,14 @@ def _periods(problem: Problem, base: Hypothesis, name: str) -> list[tuple[float,
     if not logs:
         return []
     travel = max(float(np.ptp(counts)) for counts, _ in logs)
-    fastest = max(float(np.percentile(np.abs(np.diff(counts)), 90.0)) for counts, _ in logs)
+    # Of an axis that stands most of the time the usual speed is nothing: at least that of all the time.
+    fastest = max(
+        max(
+            float(np.percentile(np.abs(np.diff(counts)), 90.0)),
+            float(np.ptp(counts)) / len(counts),
+        )
+        for counts, _ in logs
+    )
     shortest = max(LEAST_PERIOD, LEAST_SAMPLES * fastest)
     step = shortest / STEPS
     points = 2 ** math.ceil(math.log2(FINER * max(travel / step, 1.0)))
