@@ -23,7 +23,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -35,6 +34,7 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.plant_block import OBSERVER_DAMPING, PlantBlock
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.tones import tuned_to
 from waferbot_twin.logs.machine import POSITION_ENCODER
 
 LEAST_PERIOD = 8.0
@@ -69,20 +69,17 @@ CHANCE = 0.01
 
 def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Cause]:
     """Return every effect with a cycle of the encoder at each period of its axis that stands out."""
-    found = []
-    for cause in {cause.name: cause for cause in rivals if cause.effect.cycle}.values():
-        name = cause.effect.cycle
-        (item,) = (
-            item
-            for item in cause.effect.parameters(problem.nominal, cause.axis)
-            if item.name == name
+    having = {cause.name: cause for cause in rivals if cause.effect.cycle}
+    return [
+        tuned
+        for cause in having.values()
+        for tuned in tuned_to(
+            problem,
+            cause,
+            cause.effect.cycle,
+            [period for period, _ in _periods(problem, base, POSITION_ENCODER[cause.axis])],
         )
-        for period, _ in _periods(problem, base, POSITION_ENCODER[cause.axis]):
-            if item.low < period < item.high:
-                there = cause.with_values({name: period})
-                held = tuple(other for other in cause.held if other != name)
-                found.append(replace(there, held=held, narrow=(name,)))
-    return found
+    ]
 
 
 def lasting_periods(

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,19 +51,25 @@ CHANCE = 0.01
 def at_tones(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Cause]:
     """Return every effect that has a frequency at each one that stands out."""
     having = {cause.name: cause for cause in rivals if cause.effect.tone}
-    found = []
-    for frequency_hz in tones(problem, base) if having else []:
-        for cause in having.values():
-            name = cause.effect.tone
-            (item,) = (
-                item
-                for item in cause.effect.parameters(problem.nominal, cause.axis)
-                if item.name == name
-            )
-            if item.low < frequency_hz < item.high:
-                there = cause.with_values({name: frequency_hz})
-                found.append(replace(there, narrow=(name,)))
-    return found
+    frequencies_hz = tones(problem, base) if having else []
+    return [
+        tuned
+        for cause in having.values()
+        for tuned in tuned_to(problem, cause, cause.effect.tone, frequencies_hz)
+    ]
+
+
+def tuned_to(
+    problem: Problem, cause: Cause, name: str, values: Iterable[float]
+) -> Iterator[Cause]:
+    """Give a cause with a parameter at each of some values that are possible, free and narrow there."""
+    (item,) = (
+        item for item in cause.effect.parameters(problem.nominal, cause.axis) if item.name == name
+    )
+    held = tuple(other for other in cause.held if other != name)
+    for value in values:
+        if item.low < value < item.high:
+            yield replace(cause.with_values({name: value}), held=held, narrow=(name,))
 
 
 @dataclass(frozen=True, order=True)
