@@ -98,3 +98,26 @@ def test_a_line_lasts_if_all_logs_have_it_at_one_frequency_on_one_axis():
     assert again == {'y_rotate': pytest.approx(556.0, abs=0.01 * 556.0)}
     assert not lasting_lines(*first, *log('y_rotate_load', 612.0))
     assert not lasting_lines(*first, *log('x_rotate', 556.0))
+
+
+def test_a_line_may_be_brief_in_one_log_but_not_in_both():
+    seed = 20261204
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+
+    def log(impacts, damped_s):
+        """Return rings after some impacts a second apart, in noise."""
+        time_s = np.arange(9000) / RATE_HZ - 0.4
+        since_s = np.where((time_s > 0.0) & (time_s < impacts), time_s % 1.0, 9.0)
+        ring = 4.0 * np.exp(-since_s / damped_s) * np.sin(2.0 * np.pi * 556.0 * since_s)
+        return left_over({'y_linear': random.normal(0.0, 1.0, 9000) + ring})
+
+    often, once, again = log(3, 0.05), log(1, 0.02), log(1, 0.02)
+    assert [[line.brief for line in lines(*one)] for one in (often, once, again)] == [
+        [False],
+        [True],
+        [True],
+    ]
+    for both in ((often, once), (once, often)):
+        assert lasting_lines(*both[0], *both[1]) == {'y_linear': pytest.approx(556.0, abs=9.0)}
+    assert not lasting_lines(*once, *again)

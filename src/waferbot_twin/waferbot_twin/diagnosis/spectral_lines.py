@@ -132,17 +132,21 @@ def lasting_lines(
     """
     Return by axis the frequency, Hz, of the strongest line in logs for finding and for judging alike.
 
-    None that is brief: two of many pieces, of noise that rounding makes uneven, may well be alike.
+    It may be brief in one of them; in both, two of many pieces of noise that rounding makes uneven may
+    well be alike.
     """
     lasting: dict[str, float] = {}
-    own, others = lines(finding, found, brief=False), lines(judging, judged, brief=False)
+    own, others = lines(finding, found), lines(judging, judged)
     for line, other in itertools.product(own, others):
+        width_hz = ALIKE * line.frequency_hz
+        if line.brief or other.brief:
+            width_hz = max(width_hz, line.rate_hz / BRIEF)
         same = (
             line.channel == other.channel
             and abs(line.rate_hz / other.rate_hz - 1.0) < SAME_RATE
-            and abs(line.frequency_hz / other.frequency_hz - 1.0) < ALIKE
+            and abs(line.frequency_hz - other.frequency_hz) <= width_hz
         )
-        if same:
+        if same and not (line.brief and other.brief):
             lasting.setdefault(AXIS_OF[line.channel], line.frequency_hz)
     return lasting
 
