@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import os
 import subprocess
 import sys
@@ -64,7 +65,9 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument('--effects', default='', metavar='NAME,..', help='hide only these')
     parser.add_argument('--cases', type=int, help='so many of each group (default: full matrix)')
-    parser.add_argument('--minutes', type=float, help='start no new case after this time')
+    parser.add_argument(
+        '--minutes', type=float, help='start no new case after this time (0: tables only)'
+    )
     parser.add_argument('--workers', type=int, default=os.cpu_count() or 1, help='processes')
     parser.add_argument(
         '--cluster', metavar='ADDRESS', help='send the cases to the Dask scheduler there'
@@ -190,10 +193,11 @@ def _run_all(
 ) -> Iterator[dict[str, Any]]:
     """Run cases side by side, each in one process; give the results as they come."""
     begun_s = time.monotonic()
+    longest_s = math.inf if options.minutes is None else 60.0 * options.minutes
 
     def in_time() -> Iterator[Any]:
         for case in left:
-            if options.minutes and time.monotonic() - begun_s > 60.0 * options.minutes:
+            if time.monotonic() - begun_s >= longest_s:
                 return
             yield joblib.delayed(trial.run)(case, options.model, options.subprocess)
 
