@@ -24,7 +24,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -70,23 +70,24 @@ def weighed_by_evidence(
     """Return the rivals of a cause; of those that explain all logs as well what these tell of each."""
     causes = found.found.causes
     rivals = found.rivals.get(causes[place].name, [])
-    weighed = [Weighed(item, item.behind, item.cause.free) for item in rivals]
-    close = [number for number, item in enumerate(rivals) if item.less_likely < TELLS_APART]
-    if not close:
-        return weighed
+    as_searched = [Weighed(item, item.behind, item.cause.free) for item in rivals]
+    if all(item.less_likely >= TELLS_APART for item in rivals):
+        return as_searched
     every = Problem(problem.nominal, (*problem.records, *judge.records))
-    samples = found.found.samples + found.judged.samples
+    a_parameter = math.log(found.found.samples + found.judged.samples)
+
+    def by_evidence(item: Rival) -> Weighed:
+        told = parameters_told(every, (*causes[:place], item.cause, *causes[place + 1 :]), place)
+        return Weighed(item, item.less_likely + (told - own) * a_parameter, told)
+
     try:
         own = parameters_told(every, causes, place)
-        for number in close:
-            item = rivals[number]
-            instead = (*causes[:place], item.cause, *causes[place + 1 :])
-            told = parameters_told(every, instead, place)
-            behind = item.less_likely + (told - own) * math.log(samples)
-            weighed[number] = replace(weighed[number], behind=behind, told=told)
-    except UserError:  # one of them blows up: Schwarz' criterion stays
-        pass
-    return weighed
+        return [
+            by_evidence(item.rival) if item.rival.less_likely < TELLS_APART else item
+            for item in as_searched
+        ]
+    except UserError:  # one of them blows up: all stay as they were, measured alike
+        return as_searched
 
 
 def parameters_told(problem: Problem, causes: Sequence[Cause], place: int) -> float:
