@@ -81,6 +81,15 @@ def test_a_period_is_found_whatever_the_speed_does(period, amplitude):
     assert not lasting_periods(*first, *log(1.2 * period))
 
 
+@pytest.mark.parametrize('goes', [0.0, 3.0])
+def test_an_axis_that_stands_has_no_period(goes):
+    """Its readings may all be the same, so that it has no travel at all."""
+    random = np.random.default_rng(1)
+    counts = np.rint(np.linspace(700.0, 700.0 + goes, 4500))
+    log = left_over(random, counts, np.zeros(4500))
+    assert lasting_periods(*log, *log) == {}
+
+
 def test_noise_has_a_period_no_more_often_than_promised():
     seed = 20261201
     print(f'seed {seed}')

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
+from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
 from waferbot_twin.diagnosis.coarseness import coarser_steps
 from waferbot_twin.diagnosis.following import axes_that_follow
@@ -52,10 +53,10 @@ class LeftOver:
     What the causes leave unexplained.
 
     Axes on which the plant is `moving` as no noise would make it, and on which something is `following`
-    the command; by axis the frequency, Hz, of a tone or line (`sounding`), and the period, counts of its
-    encoder, after which something is `repeating`; the step, counts, of an encoder that is `coarser`; by
-    block those with something `different`; causes on which the logs are `disagreeing`, and those in
-    doubt for other reasons; `tables` of force that explain it.
+    the command; by axis the frequency, Hz, of a tone or line (`sounding`); by encoder the period, in its
+    counts, after which something is `repeating`; by axis the step, counts, of an encoder that is
+    `coarser`; by block those with something `different`; causes on which the logs are `disagreeing`, and
+    those in doubt for other reasons; `tables` of force that explain it.
     """
 
     moving: Sequence[str] = ()
@@ -73,7 +74,8 @@ class LeftOver:
     def axes(self) -> list[str]:
         """All axes on which something is left unexplained, each once."""
         every = [cause.axis for cause in self.tables]
-        every += [*self.moving, *self.following, *self.sounding, *self.repeating, *self.coarser]
+        every += [*self.moving, *self.following, *self.sounding, *self.coarser]
+        every += [AXIS_OF[encoder] for encoder in self.repeating]
         every += [axis for axes in self.different.values() for axis in axes]
         every += [axis for item in self.disagreeing for axis in item.axes]
         every += [item.cause.axis for item in self.doubts]
@@ -125,8 +127,9 @@ def left_over(
         for axis, frequency_hz in sounding.items()
     ]
     notes += [
-        f'what is left over on {axis} comes back every {period:.1f} counts of its encoder in all logs'
-        for axis, period in repeating.items()
+        f'what is left over of the encoder {encoder} comes back every {period:.1f} of its counts in all '
+        'logs'
+        for encoder, period in repeating.items()
     ]
     notes += [
         f'what {axis} shows are multiples of {step:g} counts, more than of the encoder of the model'

@@ -29,7 +29,6 @@ from scipy.ndimage import median_filter
 from scipy.signal import bilinear, lfilter
 from scipy.stats import gamma
 
-from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.plant_block import OBSERVER_DAMPING, PlantBlock
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
@@ -85,13 +84,13 @@ def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> l
 def lasting_periods(
     finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
 ) -> dict[str, float]:
-    """Return by axis the period, counts, that stands out in logs for finding and for judging alike."""
+    """Return by encoder the period, counts, that stands out in logs for finding and judging alike."""
     lasting: dict[str, float] = {}
     for name in dict.fromkeys(finding.channel_names(PLANT)):
         own, others = (_periods(*logs, name) for logs in ((finding, found), (judging, judged)))
         for (period, travel), (other, its_travel) in itertools.product(own, others):
             if abs(1.0 / period - 1.0 / other) < 1.0 / min(travel, its_travel):
-                lasting.setdefault(AXIS_OF[name], period)
+                lasting.setdefault(name, period)
     return lasting
 
 
@@ -101,6 +100,8 @@ def _periods(problem: Problem, base: Hypothesis, name: str) -> list[tuple[float,
     if not logs:
         return []
     travel = max(float(np.ptp(counts)) for counts, _ in logs)
+    if travel < LEAST_PERIODS * LEAST_PERIOD:  # it stands, perhaps without any noise
+        return []
     # Of an axis that stands most of the time the usual speed is nothing: at least that of all the time.
     fastest = max(
         max(
