@@ -64,3 +64,17 @@ def test_a_cause_that_stands_in_for_another_leaves_some_over_and_is_in_doubt(pro
     assert not rest.in_doubt(cause('wrong_derivative_gain:x_rotate', ratio=0.99), problem)
     # what also acts on the plant is judged by noise there
     assert not rest.in_doubt(cause('force_constant:x_rotate', ratio=0.9), problem)
+
+
+@pytest.mark.slow
+def test_causes_that_explain_nearly_all_leave_the_rest_over(problem):
+    """Right ones leave single bits, so that what stands in for them shows however near it comes."""
+    found = searched(
+        problem, DERIVATIVE, DEAD_TIME, cause('notch:y_linear', depth=5e-5, frequency=100.0)
+    )
+    left, at_first = (
+        problem.less_likely_than_nothing(CONTROLLER, item.residuals[CONTROLLER])['y_linear']
+        for item in (found.found, found.nothing)
+    )
+    assert left < 0.02 * at_first
+    assert axes_that_differ(problem, problem, found) == {CONTROLLER: ['y_linear'], AMPLIFIER: []}

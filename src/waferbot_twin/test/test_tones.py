@@ -77,6 +77,22 @@ def test_noise_has_a_tone_as_rarely_as_promised():
     assert found <= CHANCE * 300 + 3.0 * np.sqrt(CHANCE * 300)
 
 
+def test_noise_that_wanders_slowly_has_no_lasting_tone():
+    """Its strongest frequencies, one to three periods in a log, are alike in every other pair."""
+    seed = 20261204
+    print(f'seed {seed}')
+    random = np.random.default_rng(seed)
+    pole = np.exp(-2.0 * np.pi * 1.0 / RATE_HZ)
+
+    def log():
+        wanders = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], random.normal(0.0, 1.0, 4400))
+        return wanders[2200:] + random.normal(0.0, 0.3, 2200)
+
+    pairs = [(coloured([log()], 24), coloured([log()], 24)) for _ in range(100)]
+    found = sum(bool(lasting_tones(*first, *second)) for first, second in pairs)
+    assert found <= CHANCE * 100
+
+
 @pytest.mark.slow
 def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     seed = 20261127

@@ -37,12 +37,6 @@ from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.diagnosis.undetermined import Undetermined, undetermined
 from waferbot_twin.effects.places import motor_axes, moves_with
 
-LEFT_SHARE = 0.05
-"""
-Share of what the model left over, in 2 ln L, that right causes may leave in an exact block: their
-values are found to some parts of a thousand, and then single bits differ.
-"""
-
 Doubt = Unsteady | Undetermined | Unrepeated | StillRinging
 """Why one cause may stand in for something else."""
 
@@ -198,27 +192,16 @@ def axes_that_differ(problem: Problem, judge: Problem, found: Search) -> dict[st
     """
     Return for each exact block the axes on which it does something else than the model with the causes.
 
-    More is left over than a right cause leaves, in all logs together.
+    What is left over in all logs together is plain. Right causes leave next to nothing, whatever their
+    size: single bits, where a value is found to parts of a million.
     """
     axes: dict[str, list[str]] = {}
     for block in problem.exact_blocks:
-        now, at_first = (
-            [
-                logs.less_likely_than_nothing(block, hypothesis.residuals.get(block, []))
-                for logs, hypothesis in ((problem, in_finding), (judge, in_judging))
-            ]
-            for in_finding, in_judging in (
-                (found.found, found.judged),
-                (found.nothing, found.judged_nothing),
-            )
-        )
+        left = [
+            logs.less_likely_than_nothing(block, hypothesis.residuals.get(block, []))
+            for logs, hypothesis in ((problem, found.found), (judge, found.judged))
+        ]
         axes[block] = [
-            axis
-            for axis in now[0]
-            if _total(now, axis) > max(PLAIN, LEFT_SHARE * _total(at_first, axis))
+            axis for axis in left[0] if sum(item.get(axis, 0.0) for item in left) > PLAIN
         ]
     return axes
-
-
-def _total(by_axis: Sequence[Mapping[str, float]], axis: str) -> float:
-    return sum(item.get(axis, 0.0) for item in by_axis)

@@ -13,7 +13,8 @@ logs together (with them the distribution of the sum is a gamma distribution).
 
 A strong tone is predictable: whitening takes it for the colour of the noise, the more the stronger it
 is. So it is looked for in what is left over as it is, too, whose periodogram is divided by its running
-median (that of an exponential distribution with mean 1 is ln 2).
+median (that of an exponential distribution with mean 1 is ln 2). There noise that wanders slowly stands
+out of the median near zero frequency: what has not `LEAST_PERIODS` in the longest log is no tone.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ FINER = 4
 
 AROUND = 41
 """Independent frequencies whose median is what is around one."""
+
+LEAST_PERIODS = 5.0
+"""Of a tone in what is not white; noise that wanders at 1 to 10 Hz had some with up to 3.8."""
 
 WAYS = 2
 """In how many ways tones are looked for."""
@@ -111,10 +115,12 @@ def _all_tones(problem: Problem, base: Hypothesis) -> list[Tone]:
     """Return every tone in what the plant leaves over, the least probable first."""
     if not problem.channel_names(PLANT):
         return []
+    as_it_is = _standing_out(problem, base.residuals[PLANT], _flat_periodogram)
+    least_hz = 0.5 * LEAST_PERIODS * _width_hz(problem, base)
     return sorted(
         [
             *_standing_out(problem, base.fits[PLANT].whitened, _periodogram),
-            *_standing_out(problem, base.residuals[PLANT], _flat_periodogram),
+            *(tone for tone in as_it_is if tone.frequency_hz >= least_hz),
         ]
     )
 
