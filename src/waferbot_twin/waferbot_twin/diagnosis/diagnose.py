@@ -139,8 +139,9 @@ def diagnose(
 
     What is not found in the logs for finding may show in the others: these change roles, and if more
     is found so, or what was found explains all logs plainly better with values from there, it is fitted
-    to them. So they do if what was found does not win: a belt may slip only there. Either way nothing is
-    fitted to the logs that judge, and the gain is measured on those.
+    to them. So they do if what was found does not win: a belt may slip only there; and if the logs
+    contradict what was found, when what they show from the beginning explains all logs better. Either
+    way nothing is fitted to the logs that judge, and the gain is measured on those.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -158,11 +159,12 @@ def diagnose(
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = offered_effects(problem, without)
     compile_ahead(problem, effects, workers)
+    untried = judge, problem
     found = search(problem, judge, effects, progress, workers)
     if not found.far_off:
         other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
         if _shows_more(other, found):
-            found, problem, judge, finding, judging = other, judge, problem, judging, finding
+            found, problem, judge = other, judge, problem
             notes.append('the logs for judging showed more: they found, and the others judged')
     if not found.far_off:
         found = weighed_in_all_logs(problem, judge, found, progress, workers)
@@ -174,9 +176,8 @@ def diagnose(
         instead = that_wins(judge, problem, other, [])
         if instead is not None and instead.found.causes:
             found, winning = other, instead
-            problem, judge, finding, judging = judge, problem, judging, finding
+            problem, judge = judge, problem
             said = ['what the logs for finding show does not win: the others found, these judged']
-    notes += said
     if winning is None:
         withdrawn = list(found.found.causes)
         found.found, found.judged = found.nothing, found.judged_nothing
@@ -184,9 +185,18 @@ def diagnose(
         withdrawn = _taken_out(found, winning)
         found = winning
     rest = left_over(problem, judge, found, progress, workers)
+    if rest.contradicted and not found.far_off:
+        instead = _found_anew(*untried, effects, progress, workers)
+        if instead and _explains_better(instead, found):
+            found, (problem, judge), withdrawn = instead, untried, []
+            rest = left_over(problem, judge, found, progress, workers)
+            said = [
+                'what was found first contradicts the logs: this was found anew in those that judged'
+            ]
+    notes += said
     causes = (*found.found.causes, *rest.tables)
     extended = apply_all(nominal, causes)
-    axis_gains = gains(roomy, apply_all(roomy, causes), judging)
+    axis_gains = gains(roomy, apply_all(roomy, causes), judge.records)
     notes += rest.notes
     notes += _stands_for(extended, found.found.causes)
     notes += _out_of_step(found.found.causes, axis_gains)
@@ -202,8 +212,8 @@ def diagnose(
         rest.axes,
         axis_gains,
         where,
-        [record.name for record in finding],
-        [record.name for record in judging],
+        [record.name for record in problem.records],
+        [record.name for record in judge.records],
         found,
         time.perf_counter() - begun_s,
         notes,
@@ -232,19 +242,34 @@ def _search_in_other_roles(
         return found
 
 
-def _shows_more(other: Search, found: Search) -> bool:
-    """
-    Return whether a search in other roles found more, or values that explain all logs better.
+def _found_anew(
+    problem: Problem, judge: Problem, effects: Sequence[Effect], progress: Progress, workers: int
+) -> Search | None:
+    """Return what logs show from the beginning, if it wins in those that judge."""
+    found = search(problem, judge, effects, progress, workers)
+    if found.far_off:
+        return None
+    found = weighed_in_all_logs(problem, judge, found, progress, workers)
+    return that_wins(problem, judge, found, [])
 
-    By Schwarz' criterion with the samples of all logs: those for finding are others now.
+
+def _shows_more(other: Search, found: Search) -> bool:
+    """Return whether a search in other roles found more, or values that explain all logs better."""
+    return len(other.found.causes) > len(found.found.causes) or _explains_better(other, found)
+
+
+def _explains_better(other: Search, found: Search) -> bool:
+    """
+    Return whether another search explains all logs plainly better, whatever their roles.
+
+    By Schwarz' criterion with the samples of all logs: those for finding are not the same.
     """
 
     def unlikely(item: Search) -> float:
         price = item.found.parameters * math.log(item.found.samples + item.judged.samples)
         return price - 2.0 * (item.found.log_likelihood + item.judged.log_likelihood)
 
-    more = len(other.found.causes) > len(found.found.causes)
-    return more or unlikely(found) - unlikely(other) > TELLS_APART
+    return unlikely(found) - unlikely(other) > TELLS_APART
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:

@@ -75,6 +75,11 @@ class LeftOver:
         every += [item.cause.axis for item in self.doubts]
         return list(dict.fromkeys(every))
 
+    @property
+    def contradicted(self) -> bool:
+        """Whether the logs want different values of a cause, or more of it in one place."""
+        return bool(self.disagreeing) or any(isinstance(item, Unsteady) for item in self.doubts)
+
     def in_doubt(self, cause: Cause, problem: Problem) -> bool:
         """
         Return whether there is reason to doubt a cause.
