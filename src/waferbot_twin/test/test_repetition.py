@@ -14,6 +14,7 @@ from waferbot_twin.diagnosis.left_over import LeftOver
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.repetition import unrepeated
+from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
@@ -94,3 +95,18 @@ def test_what_does_not_repeat_is_not_asked(nominal):
         effect = find(name)
         cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
         assert unrepeated([cause], standing, standing) == []
+
+
+def test_no_cause_that_repeats_is_tried_where_an_axis_stands(nominal):
+    """It hunts on two counts here; any other cause is tried."""
+    effects = [find(name) for name in ('cogging', 'torque_ripple', 'constant_force')]
+    per_unit = nominal.description.encoders['y_linear'].counts_per_unit
+
+    def tried(counts):
+        problem = problem_of(nominal, {'y_linear': counts / per_unit})
+        return {
+            item.effect.name for item in candidates(problem, effects) if item.axis == 'y_linear'
+        }
+
+    assert tried(1.0) == {'constant_force'}
+    assert tried(400.0) == {'cogging', 'torque_ripple', 'constant_force'}

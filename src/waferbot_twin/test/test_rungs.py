@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.closed_loop_record import simulate
@@ -124,7 +125,10 @@ def test_the_largest_command_is_tried_as_a_limit(nominal):
 
 
 def test_what_construction_fixes_is_held_and_costs_no_parameter(nominal):
-    problem = SimpleNamespace(nominal=nominal, touched=lambda effect, axis: ('plant',))
+    goes = SimpleNamespace(channels=ENCODERS, measured=lambda name: np.arange(100.0))
+    problem = SimpleNamespace(
+        nominal=nominal, touched=lambda effect, axis: ('plant',), plants=[goes]
+    )
     found = candidates(problem, [find('torque_ripple')])
     assert {cause.held for cause in found} == {('order',)}
     assert {cause.values['order'] for cause in found} == {2.0, 6.0}

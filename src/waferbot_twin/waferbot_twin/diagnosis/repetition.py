@@ -9,6 +9,9 @@ P at least,
 
     max x(t) - min x(t) >= P / 2    in one log.
 
+Where an axis stands, or hunts on the steps of its encoders, no cause that repeats can be told at all,
+and none is tried: a shift by a part of a count, whatever makes it, changes when the readings step.
+
 Limits: half a period is where a cosine comes from its top to its bottom, chosen, not derived; of a cause
 with harmonics the fundamental is asked. Logs are not joined: an incremental encoder may count from
 elsewhere in each.
@@ -29,6 +32,9 @@ from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 
 LEAST_SHARE = 0.5
 """Share of its period that an axis has to go."""
+
+STANDS = 8.0
+"""Counts that an axis which stands goes at most; on the steps of an encoder it hunts over two."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,18 @@ def unrepeated(causes: Sequence[Cause], *logs: Problem) -> list[Unrepeated]:
         if seen < LEAST_SHARE * after:
             result.append(Unrepeated(cause, after, seen, length_unit(variant, cause.axis)))
     return result
+
+
+def can_repeat(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause does not repeat along the way, or its axis goes any way at all."""
+    if not cause.effect.repeats_after(problem.nominal, cause.axis, cause.values):
+        return True
+    encoders = {MOTOR_ENCODER[cause.axis], POSITION_ENCODER[cause.axis]}
+    return any(
+        float(np.ptp(plant.measured(name))) > STANDS
+        for plant in problem.plants
+        for name in encoders.intersection(plant.channels)
+    )
 
 
 def travel(variant: Variant, axis: str, plant: PlantBlock) -> float:

@@ -42,6 +42,7 @@ from waferbot_twin.diagnosis.jointly import (
 )
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.repetition import can_repeat
 from waferbot_twin.diagnosis.rungs import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
 
@@ -98,6 +99,8 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                     for item in parameters
                 }
                 cause = Cause(effect, axis, values, held)
+                if not can_repeat(problem, cause):
+                    continue
                 sized = any(not item.shape and item.name in trial for item in parameters)
                 found += rungs(problem, cause) if effect.threshold and not sized else [cause]
                 found += _tried(parameters, cause)
