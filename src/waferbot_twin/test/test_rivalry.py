@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from waferbot_twin.diagnosis import rivalry
+from waferbot_twin.diagnosis.alike import Weighed
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.search_state import Rival, Score, Search, preferred
@@ -49,8 +50,9 @@ def causes():
 class World:
     """Logs of which nobody knows more than how likely each cause makes them."""
 
-    def __init__(self, monkeypatch, in_all, in_judging, feigned=()):
+    def __init__(self, monkeypatch, in_all, in_judging, feigned=(), told=None):
         self.fitted = []
+        self.told = told or {}
         self.in_all, self.in_judging = in_all, in_judging
         monkeypatch.setattr(rivalry, 'Problem', lambda nominal, records: 'all')
         monkeypatch.setattr(rivalry, 'fit_causes', self.fit)
@@ -58,6 +60,7 @@ class World:
         monkeypatch.setattr(
             rivalry, 'feigned', lambda *logs: logs[-1].found.causes[-1].name in feigned
         )
+        monkeypatch.setattr(rivalry, 'weighed_by_evidence', self.by_evidence)
 
     def fit(self, problem, causes):
         if problem == 'all':
@@ -66,6 +69,15 @@ class World:
 
     def judge(self, causes):
         return hypothesis(causes, self.in_judging[causes[0].name] if causes else 0.0)
+
+    def by_evidence(self, problem, judge, found, place):
+        own = found.found.causes[place]
+
+        def weighed(item):
+            told, of_own = (self.told.get(one.name, one.free) for one in (item.cause, own))
+            return Weighed(item, item.less_likely + (told - of_own) * PRICE, told)
+
+        return [weighed(item) for item in found.rivals[own.name]]
 
     def search(self, own, *rivals, since=()):
         found = Search(hypothesis([own, *since], 0.0), self.judge([own]), None, None)
@@ -134,12 +146,29 @@ def test_a_better_one_takes_the_place_if_it_judges_not_much_worse(
     found = world.search(own, Rival(rival, 9.0, 9.0, 4.0))
     if not takes_over:
         assert found.found.causes == (own,)
+        assert found.outdone
         return
+    assert not found.outdone
     assert found.found.causes[0].name == rival.name
     (before,) = found.rivals[rival.name]
     assert before.cause == own
     assert before.less_likely == pytest.approx(30.0)
     assert found.gains[rival.name] == pytest.approx(130.0)
+
+
+@pytest.mark.parametrize(('told', 'takes_over'), [(2.0, False), (1.3, True)])
+def test_one_with_more_parameters_that_the_logs_tell_in_part_takes_the_place_if_more_plausible(
+    monkeypatch, causes, told, takes_over
+):
+    """It is 15 in 2 ln L more likely; its second parameter costs 9, if the logs tell all of it."""
+    own, _, _ = causes
+    rival = Cause(find('stribeck_friction'), 'x_rotate', {'breakaway': 1.0, 'speed': 0.1})
+    likely = {own.name: 900.0, rival.name: 915.0}
+    world = World(
+        monkeypatch, likely, {own.name: 500.0, rival.name: 505.0}, told={rival.name: told}
+    )
+    found = world.search(own, Rival(rival, 9.0, 9.0, 4.0))
+    assert found.found.causes[0].name == (rival.name if takes_over else own.name)
 
 
 def test_what_noise_in_the_current_loop_feigns_takes_no_place_and_is_no_rival(monkeypatch, causes):

@@ -140,8 +140,9 @@ def diagnose(
     What is not found in the logs for finding may show in the others: these change roles, and if more
     is found so, or what was found explains all logs plainly better with values from there, it is fitted
     to them. So they do if what was found does not win: a belt may slip only there; and if the logs
-    contradict what was found, when what they show from the beginning explains all logs better. Either
-    way nothing is fitted to the logs that judge, and the gain is measured on those.
+    contradict what was found, or a rival explains them better, when what those that judged show from
+    the beginning explains all logs better. Either way nothing is fitted to the logs that judge, and the
+    gain is measured on those.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -185,13 +186,13 @@ def diagnose(
         withdrawn = _taken_out(found, winning)
         found = winning
     rest = left_over(problem, judge, found, progress, workers)
-    if rest.contradicted and not found.far_off:
+    if (rest.contradicted or found.outdone) and not found.far_off:
         instead = _found_anew(*untried, effects, progress, workers)
         if instead and _explains_better(instead, found):
             found, (problem, judge), withdrawn = instead, untried, []
             rest = left_over(problem, judge, found, progress, workers)
             said = [
-                'what was found first contradicts the logs: this was found anew in those that judged'
+                'not all logs bear out what was found first: this was found anew in those that judged'
             ]
     notes += said
     causes = (*found.found.causes, *rest.tables)

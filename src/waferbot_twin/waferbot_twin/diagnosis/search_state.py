@@ -76,7 +76,8 @@ class Search:
     `judged_nothing` the nominal model there; `gains` what each cause gained in Schwarz' criterion,
     `rivals` what was fitted in its place; `trials` of all that was fitted from several, those that
     explain the logs for finding as well as its best; `feigned` names what noise made: it is not fitted
-    again; `far_off` tells whether what is left is too large for noise: nothing more can be told from it.
+    again; `far_off` tells whether what is left is too large for noise: nothing more can be told from it;
+    `outdone` whether a rival explains all logs better, but not with values from those for finding.
     """
 
     found: Hypothesis
@@ -88,4 +89,5 @@ class Search:
     trials: dict[str, list[Cause]] = field(default_factory=dict)
     feigned: set[str] = field(default_factory=set)
     far_off: bool = False
+    outdone: bool = False
     tried: int = 0
