@@ -12,10 +12,10 @@ import pytest
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import fitting, search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
-from waferbot_twin.diagnosis.diagnose import _shows_more
 from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause
+from waferbot_twin.diagnosis.roles import shows_more
 from waferbot_twin.diagnosis.screening import Screened
 from waferbot_twin.diagnosis.search import _revise, _take_best
 from waferbot_twin.diagnosis.search_state import Search
@@ -201,10 +201,10 @@ def test_logs_that_tell_more_of_what_was_found_find_it():
         )
 
     first = found(1, 100.0, 90.0)
-    assert _shows_more(found(1, 101.0, 96.0), first)  # 14 more in 2 ln L
-    assert not _shows_more(found(1, 98.0, 94.0), first)
-    assert _shows_more(found(2, 100.0, 92.0), first)
-    assert not _shows_more(found(0, 100.0, 90.0), first)
+    assert shows_more(found(1, 101.0, 96.0), first)  # 14 more in 2 ln L
+    assert not shows_more(found(1, 98.0, 94.0), first)
+    assert shows_more(found(2, 100.0, 92.0), first)
+    assert not shows_more(found(0, 100.0, 90.0), first)
 
 
 @pytest.mark.parametrize(('promises', 'better'), [(17.0, True), (1.0, False)])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis import rivalry, withdrawal
-from waferbot_twin.diagnosis.diagnose import _taken_out as taken_out
 from waferbot_twin.diagnosis.gain import AxisGain
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.roles import taken_out
 from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.diagnosis.withdrawal import loses
 from waferbot_twin.effects import find

@@ -3,9 +3,9 @@
 A diagnosis from beginning to end: logs in, causes, what they gain, what stays unexplained.
 
 Logs are divided into those for finding and those for judging; with a single log its last part
-judges. The causes come from `search`; a force table (`nonparametric`) shows whether something is left
-over that no effect of the library explains; the gain is measured on the judging logs alone (`gain`), and
-an extension that does not win there is withdrawn.
+judges. `roles` says what causes they show, and what is left over that no effect of the library
+explains; the gain is measured on the judging logs alone (`gain`), and an extension that does not win
+there is withdrawn.
 """
 
 from __future__ import annotations
@@ -26,17 +26,15 @@ from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, standard_errors
 from waferbot_twin.diagnosis.intervals import Intervals, intervals_95
-from waferbot_twin.diagnosis.left_over import LeftOver, left_over
+from waferbot_twin.diagnosis.left_over import LeftOver
 from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.record import Record
-from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
+from waferbot_twin.diagnosis.roles import shown
 from waferbot_twin.diagnosis.screening import Progress
-from waferbot_twin.diagnosis.search import search
-from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
-from waferbot_twin.diagnosis.withdrawal import that_wins
+from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import library
-from waferbot_twin.effects.effect import Effect, Parameter
+from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.bags import is_bag, read_bag
@@ -137,12 +135,8 @@ def diagnose(
     """
     Diagnose logs against a model.
 
-    What is not found in the logs for finding may show in the others: these change roles, and if more
-    is found so, or what was found explains all logs plainly better with values from there, it is fitted
-    to them. So they do if what was found does not win: a belt may slip only there; and if the logs
-    contradict what was found, or a rival explains them better, when what those that judged show from
-    the beginning explains all logs better. Either way nothing is fitted to the logs that judge, and the
-    gain is measured on those.
+    Logs for finding and for judging may change roles (`roles`): nothing is fitted to those that judge,
+    and the gain is measured on them.
 
     `without` names effects that are left out of the library. Raises `UserError` if the logs are too
     short.
@@ -160,45 +154,12 @@ def diagnose(
     problem, judge = Problem(roomy, finding), Problem(roomy, judging)
     effects = offered_effects(problem, without)
     compile_ahead(problem, effects, workers)
-    untried = judge, problem
-    found = search(problem, judge, effects, progress, workers)
-    if not found.far_off:
-        other = _search_in_other_roles(problem, judge, found, effects, progress, workers)
-        if _shows_more(other, found):
-            found, problem, judge = other, judge, problem
-            notes.append('the logs for judging showed more: they found, and the others judged')
-    if not found.far_off:
-        found = weighed_in_all_logs(problem, judge, found, progress, workers)
-    withdrawn: list[Cause] = []
-    said: list[str] = []
-    winning = that_wins(problem, judge, found, said)
-    if winning is None:
-        other = search(judge, problem, effects, progress, workers)
-        instead = that_wins(judge, problem, other, [])
-        if instead is not None and instead.found.causes:
-            found, winning = other, instead
-            problem, judge = judge, problem
-            said = ['what the logs for finding show does not win: the others found, these judged']
-    if winning is None:
-        withdrawn = list(found.found.causes)
-        found.found, found.judged = found.nothing, found.judged_nothing
-    else:
-        withdrawn = _taken_out(found, winning)
-        found = winning
-    rest = left_over(problem, judge, found, progress, workers)
-    if (rest.contradicted or found.outdone) and not found.far_off:
-        instead = _found_anew(*untried, effects, progress, workers)
-        if instead and _explains_better(instead, found):
-            found, (problem, judge), withdrawn = instead, untried, []
-            rest = left_over(problem, judge, found, progress, workers)
-            said = [
-                'not all logs bear out what was found first: this was found anew in those that judged'
-            ]
-    notes += said
+    result = shown(problem, judge, effects, progress, workers)
+    problem, judge, found, rest = result.problem, result.judge, result.found, result.rest
+    notes += result.notes
     causes = (*found.found.causes, *rest.tables)
     extended = apply_all(nominal, causes)
     axis_gains = gains(roomy, apply_all(roomy, causes), judge.records)
-    notes += rest.notes
     notes += _stands_for(extended, found.found.causes)
     notes += _out_of_step(found.found.causes, axis_gains)
     where = _where(problem, found)
@@ -208,7 +169,7 @@ def diagnose(
         extended,
         _verdict(found_causes, rest.axes),
         found_causes,
-        withdrawn,
+        list(result.withdrawn),
         rest.tables,
         rest.axes,
         axis_gains,
@@ -219,58 +180,6 @@ def diagnose(
         time.perf_counter() - begun_s,
         notes,
     )
-
-
-def _taken_out(found: Search, winning: Search) -> list[Cause]:
-    """Return the causes that were found, but do not win; one that a rival stands for now is none."""
-    left = {cause.name for cause in winning.found.causes}
-    fewer = len(left) < len(found.found.causes)
-    return [cause for cause in found.found.causes if fewer and cause.name not in left]
-
-
-def _search_in_other_roles(
-    problem: Problem,
-    judge: Problem,
-    found: Search,
-    effects: Sequence[Effect],
-    progress: Progress,
-    workers: int,
-) -> Search:
-    """Return what the logs for judging show beside the causes found, if these hold the machine there."""
-    try:
-        return search(judge, problem, effects, progress, workers, found)
-    except UserError:
-        return found
-
-
-def _found_anew(
-    problem: Problem, judge: Problem, effects: Sequence[Effect], progress: Progress, workers: int
-) -> Search | None:
-    """Return what logs show from the beginning, if it wins in those that judge."""
-    found = search(problem, judge, effects, progress, workers)
-    if found.far_off:
-        return None
-    found = weighed_in_all_logs(problem, judge, found, progress, workers)
-    return that_wins(problem, judge, found, [])
-
-
-def _shows_more(other: Search, found: Search) -> bool:
-    """Return whether a search in other roles found more, or values that explain all logs better."""
-    return len(other.found.causes) > len(found.found.causes) or _explains_better(other, found)
-
-
-def _explains_better(other: Search, found: Search) -> bool:
-    """
-    Return whether another search explains all logs plainly better, whatever their roles.
-
-    By Schwarz' criterion with the samples of all logs: those for finding are not the same.
-    """
-
-    def unlikely(item: Search) -> float:
-        price = item.found.parameters * math.log(item.found.samples + item.judged.samples)
-        return price - 2.0 * (item.found.log_likelihood + item.judged.log_likelihood)
-
-    return unlikely(found) - unlikely(other) > TELLS_APART
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
