@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def test_a_rival_with_parameters_that_the_logs_do_not_tell_is_as_likely(short):
     search = Search(found, found, found, found, rivals={COULOMB.name: rivals})
     first, far = weighed_by_evidence(short, short, search, 0)
     a_parameter = math.log(2.0 * found.samples)
-    assert first.behind == pytest.approx(-0.5 + (first.told - 1.0) * a_parameter)
+    assert first.by_evidence == pytest.approx(-0.5 + (first.told - 1.0) * a_parameter)
     assert first.behind < 0.3 * behind
     assert (far.told, far.behind) == (1, 300.0)  # too far behind to be asked
     assert confidence_in([far], 1) == 1.0
@@ -88,6 +89,13 @@ def test_a_rival_with_parameters_that_the_logs_do_not_tell_is_as_likely(short):
     (named,) = alike(short, search, COULOMB, [first, far])
     assert named.cause.name == 'position_dependent_friction:y_linear'
     assert named.correlation > 0.99
+    simple = replace(
+        first, rival=replace(first.rival, behind=-1.0, less_likely=20.0), by_evidence=18.0
+    )
+    assert (
+        confidence_in([simple], 1) < 0.5
+    )  # its parameters are paid for in full, if that is less sure
+    assert len(list(alike(short, search, COULOMB, [simple]))) == 1
     elsewhere = Rival(Cause(find('coulomb_friction'), 'y_rotate', {'friction': 0.1}), 1.0, 1.0)
     search.rivals = {COULOMB.name: [elsewhere]}
     weighed = weighed_by_evidence(short, short, search, 0)

@@ -57,21 +57,31 @@ class Alike:
 
 @dataclass(frozen=True)
 class Weighed:
-    """A rival, `behind` by the evidence, and how many of its parameters the logs tell."""
+    """A rival, how far it is behind by the evidence, and how many of its parameters the logs tell."""
 
     rival: Rival
-    behind: float
+    by_evidence: float
     told: float
+
+    @property
+    def behind(self) -> float:
+        """
+        How far it is behind at least, by the evidence or with the whole price of each parameter.
+
+        A form that logs happen to tell badly is cheap, and what is left of slow forces in the noise is
+        10 or 20 in 2 ln L now and then: a simple rival is not out of question then.
+        """
+        return min(self.by_evidence, self.rival.behind)
 
 
 def weighed_by_evidence(
     problem: Problem, judge: Problem, found: Search, place: int
 ) -> list[Weighed]:
-    """Return the rivals of a cause; of those that explain all logs as well what these tell of each."""
+    """Return the rivals of a cause; of those that may be as plausible what all logs tell of each."""
     causes = found.found.causes
     rivals = found.rivals.get(causes[place].name, [])
     as_searched = [Weighed(item, item.behind, item.cause.free) for item in rivals]
-    if all(item.less_likely >= TELLS_APART for item in rivals):
+    if not any(map(_close, as_searched)):
         return as_searched
     every = Problem(problem.nominal, (*problem.records, *judge.records))
     a_parameter = math.log(found.found.samples + found.judged.samples)
@@ -82,12 +92,14 @@ def weighed_by_evidence(
 
     try:
         own = parameters_told(every, causes, place)
-        return [
-            by_evidence(item.rival) if item.rival.less_likely < TELLS_APART else item
-            for item in as_searched
-        ]
+        return [by_evidence(item.rival) if _close(item) else item for item in as_searched]
     except UserError:  # one of them blows up: all stay as they were, measured alike
         return as_searched
+
+
+def _close(item: Weighed) -> bool:
+    """Return whether a rival explains the logs about as well, or is about as plausible."""
+    return min(item.rival.less_likely, item.behind) < TELLS_APART
 
 
 def parameters_told(problem: Problem, causes: Sequence[Cause], place: int) -> float:
@@ -120,7 +132,7 @@ def alike(
     criterion: Schwarz' would always put one with more parameters behind, and of those that were chosen
     because they are simple one with more parameters is often the truth.
     """
-    close = [item for item in weighed if item.rival.less_likely < TELLS_APART]
+    close = filter(_close, weighed)
 
     def unlikely(item: Weighed) -> float:
         return item.rival.less_likely + 2.0 * item.told

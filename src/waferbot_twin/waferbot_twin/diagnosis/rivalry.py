@@ -140,8 +140,8 @@ def _most_plausible(problem: Problem, judge: Problem, found: Search, place: int)
     was named where Stribeck's was 15 in 2 ln L more likely and 12 by the evidence.
     """
     weighed = weighed_by_evidence(problem, judge, found, place)
-    best = min(weighed, key=lambda item: item.behind, default=None)
-    if best is None or best.behind > -STRONG:
+    best = min(weighed, key=lambda item: item.by_evidence, default=None)
+    if best is None or best.by_evidence > -STRONG:
         return found
     return _given_way(problem, judge, found, place, best.rival)
 
