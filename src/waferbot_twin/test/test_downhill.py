@@ -14,6 +14,7 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import AMPLIFIER, PLAIN, Cause, Problem
 from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.shortlist import fit_exact
@@ -98,7 +99,7 @@ def test_a_cause_whose_values_leave_some_over_in_other_logs_is_looked_for_there_
     nothing = evaluate(problem)
     state = Search(known, known, nothing, nothing)
     assert (left(problem, known) < PLAIN) == (time < 0.01)
-    found = search(problem, problem, [effect], lambda *_: None, 1, state).found
+    found = search(Rounds(problem, [effect], lambda *_: None), problem, state).found
     assert [cause.name for cause in found.causes] == [f'i2t_foldback:{AXIS}']
     assert (
         left(problem, found) < PLAIN

@@ -14,6 +14,7 @@ from waferbot_twin.diagnosis.folded_back import folded_back
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.screening import candidates
+from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
@@ -62,7 +63,7 @@ def test_level_and_time_of_a_fold_back_are_read_from_the_log(nominal):
         assert trial['time'] == pytest.approx(true['time'], rel=0.1)
         (cause,) = candidates(problem, [shown])  # as it is, on no rungs
         assert cause.values == trial
-        found = search(problem, problem, [shown], lambda *_: None, 1).found
+        found = search(Rounds(problem, [shown], lambda *_: None), problem).found
         assert [cause.name for cause in found.causes] == [f'i2t_foldback:{AXIS}']
         continuous = found.causes[0].values['continuous']
         assert continuous == pytest.approx(true['continuous'], rel=1e-4)

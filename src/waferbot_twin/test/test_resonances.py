@@ -111,7 +111,7 @@ def test_a_stiff_part_that_rings_is_found_by_its_line(share, seed, folds):
     problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
     base = evaluate(problem)
     rivals = candidates(problem, [find(name) for name in RIVALS])
-    screened = screen_lines(problem, base, rivals)
+    screened = screen_lines(problem, base, rivals, lines(problem, base))
     fitted = [
         fit_causes(problem, (item.cause,))
         for item in sorted(screened, key=lambda item: -item.score)[:3]

@@ -49,6 +49,26 @@ def test_a_cause_with_more_parameters_is_taken_if_the_other_logs_pay_for_them(co
     assert state.found.causes[0].name == taken
 
 
+@pytest.mark.parametrize('possible', [True, False])
+def test_what_is_more_likely_than_the_cause_is_a_rival_unless_it_was_refuted(possible):
+    """Coulomb friction pays less by what the command shows than four parameters that happen to suit."""
+    nothing = SimpleNamespace(causes=(), log_likelihood=0.0, information_criterion=0.0)
+    state = Search(nothing, nothing, nothing, nothing)
+    wide, simple = (
+        Fitted(
+            hypothesis(SimpleNamespace(name=name, held=()), 32.0, parameters),
+            hypothesis(None, judged, parameters),
+            confirmed=name == 'wide',
+            possible=name == 'wide' or possible,
+        )
+        for name, parameters, judged in (('wide', 3, 5.0), ('simple', 1, 7.0))
+    )
+    assert _take_best(None, None, state, [simple, wide])
+    assert state.found.causes[0].name == 'wide'
+    rivals = [rival.cause.name for rival in state.rivals['wide']]
+    assert rivals == (['simple'] if possible else [])
+
+
 @pytest.mark.parametrize(
     ('name', 'shape'),
     [
@@ -105,6 +125,7 @@ class World:
         monkeypatch.setattr(shortlist, '_start', lambda problem, base, item: item.cause)
         monkeypatch.setattr(shortlist, 'weighed', lambda *rest: replace(rest[3], confirmed=True))
         self.promising = promising
+        self.problem, self.progress, self.workers = self, lambda *rest: None, 1
 
     def touched(self, effect, axis):
         return ('plant',)
@@ -145,7 +166,7 @@ def test_a_cause_that_stood_in_for_two_gives_way_once_the_other_is_known(monkeyp
     by_name = {cause.effect.name: cause for cause in world.every}
     first = world.hypothesis([by_name['coulomb_friction'], by_name['constant_force']])
     state = Search(first, first, world.hypothesis([]), world.hypothesis([]))
-    _revise(world, world, state, world, 1, lambda *rest: None)
+    _revise(world, state, world)
     names = {cause.effect.name for cause in state.found.causes}
     assert names == {'viscous_friction', 'constant_force'}
     assert state.gains.keys() == {cause.name for cause in state.found.causes}
@@ -159,7 +180,7 @@ def test_causes_that_do_not_bend_each_other_are_not_chosen_again(monkeypatch):
     both = world.hypothesis(world.every)
     state = Search(both, both, both, both)
     world.asked.clear()
-    _revise(world, world, state, world, 1, lambda *rest: None)
+    _revise(world, state, world)
     assert not world.asked
     assert state.found is both
 
@@ -186,7 +207,8 @@ def test_what_stood_in_for_the_usual_is_not_kept_beside_it(monkeypatch):
     found = Hypothesis((scale, bias, friction), {}, {})
     state = Search(found, found, found, found)
     finding = SimpleNamespace(touched=touched)
-    search._take_together(finding, finding, state, [], lambda *told: None, 1)
+    rounds = SimpleNamespace(problem=finding, effects=[], progress=None, workers=1)
+    search._take_together(finding, state, rounds)
     assert tried == [bias, friction]
     assert state.found is found
 

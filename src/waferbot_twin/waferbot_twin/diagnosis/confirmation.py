@@ -24,7 +24,7 @@ from waferbot_twin.diagnosis.hypothesis import (
 )
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Problem
-from waferbot_twin.diagnosis.together import far_channels, pays
+from waferbot_twin.diagnosis.together import NEARLY, far_channels, pays
 
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""
@@ -58,12 +58,15 @@ class Fitted:
     """
     A hypothesis fitted to the logs for finding, and as it stands in those for judging.
 
-    `confirmed`: it pays for itself and is to be believed. `feigned`: noise in the current loop made it.
+    `confirmed`: it pays for itself and is to be believed. `possible`: nothing speaks against it, but by
+    itself it would not be believed; what is believed in its place may be this. `feigned`: noise in the
+    current loop made it.
     """
 
     found: Hypothesis
     judged: Hypothesis
     confirmed: bool = False
+    possible: bool = False
     feigned: bool = False
 
     @property
@@ -85,7 +88,8 @@ def weighed(
 
     It has to gain `needed` in 2 ln L, or nearly so much and as much again in the logs for judging, and
     these must not speak against it. What the command causes has to pay for the hypothesis in all logs
-    together: a motion may be so slow that noise decides when an axis slides.
+    together: a motion may be so slow that noise decides when an axis slides. One that nearly pays so is
+    possible.
     """
     gained = 2.0 * (item.found.log_likelihood - base.found.log_likelihood)
     confirmed = 2.0 * (item.judged.log_likelihood - base.judged.log_likelihood)
@@ -98,19 +102,20 @@ def weighed(
         return item
     if _too_little(in_finding, in_judging):
         return replace(item, feigned=True)
+    together = in_finding.gain + in_judging.gain
+    possible = together >= NEARLY * needed and confirmed > _least(in_judging.expected)
     if in_judging.expected < TELLS:
         # That motion does not show the effect: what was found must be beyond doubt by itself, and
         # what little it should do there must not speak against it.
         believed = in_finding.gain >= needed + TELLS and confirmed > _least(in_judging.expected)
     else:
-        together = in_finding.gain + in_judging.gain
         least = CONFIRMS if together < needed + TELLS else 0.5 * CONFIRMS
         believed = (
             together >= needed
             and in_judging.gain >= least
             and confirmed >= max(least, SHARE * in_judging.expected)
         )
-    return replace(item, confirmed=believed)
+    return replace(item, confirmed=believed, possible=possible)
 
 
 def feigned(finding: Problem, judging: Problem, base: Fitted, item: Fitted) -> bool:

@@ -27,6 +27,7 @@ from waferbot_twin.diagnosis.position_tones import lasting_periods
 from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.repetition import Unrepeated, unrepeated
 from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.spectral_lines import lasting_lines
@@ -170,9 +171,8 @@ def _tables(
     """Return force tables that explain what the causes leave, if they are confirmed."""
     with_causes = Problem(apply_all(problem.nominal, found.found.causes), problem.records)
     judge_with = Problem(with_causes.nominal, judge.records)
-    rest = search(
-        with_causes, judge_with, tables(problem.nominal, problem.records), progress, workers
-    )
+    every = tables(problem.nominal, problem.records)
+    rest = search(Rounds(with_causes, every, progress, workers), judge_with)
     return list(rest.found.causes)
 
 

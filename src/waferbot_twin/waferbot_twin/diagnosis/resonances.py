@@ -41,11 +41,9 @@ from waferbot_twin.diagnosis.spectral_lines import (
     SAME_RATE,
     Line,
     line_at,
-    lines,
     spectrum_of,
     strongest,
 )
-from waferbot_twin.diagnosis.together import far
 
 OWN = 0.3
 """Share of a mode's energy that a part has at least for the mode to be its own."""
@@ -101,10 +99,13 @@ The best of seven independent values, each in the phase that suits (two degrees 
 
 
 def screen_lines(
-    problem: Problem, base: Hypothesis, rivals: Sequence[Cause], workers: int = 1
+    problem: Problem,
+    base: Hypothesis,
+    rivals: Sequence[Cause],
+    found: Sequence[Line],
+    workers: int = 1,
 ) -> list[Screened]:
     """Try every compliance that the model holds rigid at the lines that it may have made."""
-    found = lines(problem, base, brief=not far(base))  # a motion that swings has lines, too
     stiff = [
         cause
         for cause in rivals

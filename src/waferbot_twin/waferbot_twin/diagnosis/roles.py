@@ -21,6 +21,7 @@ from waferbot_twin.diagnosis.left_over import LeftOver, left_over
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
 from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.diagnosis.withdrawal import that_wins
@@ -51,24 +52,25 @@ def shown(
 
     Raises `UserError` if the nominal model does not run in their motions.
     """
-    untried = judge, problem
+    finding, judging = (Rounds(logs, effects, progress, workers) for logs in (problem, judge))
+    untried = judging, finding
     notes: list[str] = []
     said: list[str] = []
-    found = search(problem, judge, effects, progress, workers)
+    found = search(finding, judging.problem)
     if not found.far_off:
-        other = _with_more(judge, problem, found, effects, progress, workers)
+        other = _with_more(judging, finding.problem, found)
         if shows_more(other, found):
-            found, problem, judge = other, judge, problem
+            found, finding, judging = other, judging, finding
             notes.append('the logs for judging showed more: they found, and the others judged')
     if not found.far_off:
-        found = weighed_in_all_logs(problem, judge, found, progress, workers)
-    winning = that_wins(problem, judge, found, said)
+        found = weighed_in_all_logs(finding.problem, judging.problem, found, progress, workers)
+    winning = that_wins(finding.problem, judging.problem, found, said)
     if winning is None:
-        other = search(judge, problem, effects, progress, workers)
-        instead = that_wins(judge, problem, other, [])
+        other = search(judging, finding.problem)
+        instead = that_wins(judging.problem, finding.problem, other, [])
         if instead is not None and instead.found.causes:
             found, winning = other, instead
-            problem, judge = judge, problem
+            finding, judging = judging, finding
             said = ['what the logs for finding show does not win: the others found, these judged']
     if winning is None:
         withdrawn = list(found.found.causes)
@@ -76,41 +78,34 @@ def shown(
     else:
         withdrawn = taken_out(found, winning)
         found = winning
-    rest = left_over(problem, judge, found, progress, workers)
+    rest = left_over(finding.problem, judging.problem, found, progress, workers)
     if (rest.contradicted or found.outdone) and not found.far_off:
-        instead = _from_the_beginning(*untried, effects, progress, workers)
+        instead = _from_the_beginning(*untried)
         if instead and _explains_better(instead, found):
-            found, (problem, judge), withdrawn = instead, untried, []
-            rest = left_over(problem, judge, found, progress, workers)
+            found, (finding, judging), withdrawn = instead, untried, []
+            rest = left_over(finding.problem, judging.problem, found, progress, workers)
             said = [
                 'not all logs bear out what was found first: this was found anew in those that judged'
             ]
-    return Shown(problem, judge, found, rest, withdrawn, [*notes, *said, *rest.notes])
+    notes += [*said, *rest.notes]
+    return Shown(finding.problem, judging.problem, found, rest, withdrawn, notes)
 
 
-def _with_more(
-    problem: Problem,
-    judge: Problem,
-    known: Search,
-    effects: Sequence[Effect],
-    progress: Progress,
-    workers: int,
-) -> Search:
+def _with_more(finding: Rounds, judge: Problem, known: Search) -> Search:
     """Return what logs show beside the causes known, if these hold the machine there."""
     try:
-        return search(problem, judge, effects, progress, workers, known)
+        return search(finding, judge, known)
     except UserError:
         return known
 
 
-def _from_the_beginning(
-    problem: Problem, judge: Problem, effects: Sequence[Effect], progress: Progress, workers: int
-) -> Search | None:
+def _from_the_beginning(finding: Rounds, judging: Rounds) -> Search | None:
     """Return what logs show with nothing known, if it wins in those that judge."""
-    found = search(problem, judge, effects, progress, workers)
+    problem, judge = finding.problem, judging.problem
+    found = search(finding, judge)
     if found.far_off:
         return None
-    found = weighed_in_all_logs(problem, judge, found, progress, workers)
+    found = weighed_in_all_logs(problem, judge, found, finding.progress, finding.workers)
     return that_wins(problem, judge, found, [])
 
 

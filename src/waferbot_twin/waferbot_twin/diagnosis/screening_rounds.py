@@ -3,11 +3,13 @@
 Rounds of screening: all candidates, again and again, beside the causes that are known by then.
 
 What a candidate promises depends on the blocks that it changes and on the causes known there, on nothing
-else: a wrong gain leaves what the plant leaves over as it was. So each candidate is screened, and each
-line in the spectrum tried, once for the causes of its blocks, however many rounds there are.
+else: a wrong gain leaves what the plant leaves over as it was. So each candidate is screened once for
+the causes of its blocks, however many rounds there are, and lines in the spectrum are tried once while
+they stay where they are.
 
-Signatures are found once, beside the causes known at first. In blocks where others are known by then,
-those of the most promising candidates are found anew.
+Signatures are found once, beside the causes with which a search begins. In blocks where others are known
+by then, those of the most promising candidates are found anew. A search that begins with other causes
+finds only those anew whose blocks these change.
 """
 
 from __future__ import annotations
@@ -19,8 +21,18 @@ from waferbot_twin.diagnosis.jointly import Signature
 from waferbot_twin.diagnosis.position_tones import at_periods
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.resonances import screen_lines
-from waferbot_twin.diagnosis.screening import Change, Progress, Screened, screen, signatures
+from waferbot_twin.diagnosis.screening import (
+    Change,
+    Progress,
+    Screened,
+    candidates,
+    screen,
+    signatures,
+)
+from waferbot_twin.diagnosis.spectral_lines import lines
+from waferbot_twin.diagnosis.together import far
 from waferbot_twin.diagnosis.tones import at_tones
+from waferbot_twin.effects.effect import Effect
 
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
@@ -28,42 +40,49 @@ ANEW = 30
 _Values = tuple[str, tuple[tuple[str, float], ...]]
 """A cause by name and values."""
 
-_Asked = tuple[bool, _Values, tuple[_Values, ...]]
-"""A candidate, whether its signature was found anew, and the causes known in the blocks it changes."""
+_Beside = tuple[_Values, ...]
+"""The causes that are known in the blocks that a candidate changes."""
+
+_Lines = tuple[_Beside, tuple[tuple[str, float, bool], ...]]
+"""The causes that are known in the plant alone, and its lines by channel and frequency."""
+
+_Asked = tuple[_Values, _Beside, _Beside]
+"""A candidate, what was known when its signature was found, and what is known now."""
 
 
 class Rounds:
-    """The candidates of a search, with all that has been found out about them."""
+    """The candidates in logs, with all that has been found out about them, for one search or several."""
 
     def __init__(
-        self,
-        problem: Problem,
-        base: Hypothesis,
-        candidates: Sequence[Cause],
-        progress: Progress,
-        workers: int,
+        self, problem: Problem, effects: Sequence[Effect], progress: Progress, workers: int = 1
     ) -> None:
-        """Find what every candidate changes beside the causes of `base`."""
-        self._problem, self._progress, self._workers = problem, progress, workers
-        self._candidates = candidates
-        self._beside = base.causes
-        self._changes = dict(
-            zip(
-                map(_values, candidates),
-                signatures(problem, base, candidates, workers, progress),
-                strict=True,
-            )
-        )
+        """Take the logs of `problem`, and every one of `effects` that they could show."""
+        self.problem, self.effects = problem, effects
+        self.progress, self.workers = progress, workers
+        self._candidates = candidates(problem, effects)
+        self._beside: Sequence[Cause] = ()
+        self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
-        self._of_base: dict[tuple[_Values, ...], list[Signature]] = {}
-        self._at_lines: dict[tuple[_Values, ...], list[Screened]] = {}
+        self._of_base: dict[_Beside, list[Signature]] = {}
+        self._at_lines: dict[_Lines, list[Screened]] = {}
+
+    def begin(self, base: Hypothesis) -> None:
+        """Find what every candidate changes beside the causes of `base`, as far as that is not known."""
+        self._beside = base.causes
+        unknown = {
+            key: candidate
+            for candidate in self._candidates
+            if (key := self._at_first(candidate)) not in self._changes
+        }
+        found = signatures(self.problem, base, list(unknown.values()), self.workers, self.progress)
+        self._changes |= zip(unknown, found, strict=True)
 
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""
-        problem = self._problem
+        problem = self.problem
         taken = {cause.name for cause in base.causes}
         rivals = [cause for cause in self._candidates if cause.name not in taken]
-        screened = self._promises(base, rivals, self._as_found_at_first, anew=False)
+        screened = self._promises(base, rivals, self._as_found_at_first, self._beside)
         changed = self._changed(base.causes)
         stale = {
             item.cause.name
@@ -74,14 +93,14 @@ class Rounds:
         again = [item.cause for item in screened if item.cause.name in stale][:ANEW]
 
         def found_anew(causes: Sequence[Cause]) -> list[Change | None]:
-            return signatures(problem, base, causes, self._workers, self._progress)
+            return signatures(problem, base, causes, self.workers, self.progress)
 
         tuned = [*at_tones(problem, base, rivals), *at_periods(problem, base, rivals)]
         return _best_first(
             [
-                *self._promises(base, again, found_anew, anew=True),
+                *self._promises(base, again, found_anew, base.causes),
                 *kept,
-                *self._promises(base, tuned, found_anew, anew=True),
+                *self._promises(base, tuned, found_anew, base.causes),
                 *(item for item in self._lines(base, rivals) if item.cause.name not in taken),
             ]
         )
@@ -91,10 +110,17 @@ class Rounds:
         base: Hypothesis,
         rivals: Sequence[Cause],
         changes_of: Callable[[Sequence[Cause]], list[Change | None]],
-        anew: bool,
+        beside: Sequence[Cause],
     ) -> list[Screened]:
-        """Return rivals with their linear fits beside the causes of `base`, best first."""
-        asked = [(anew, _values(rival), self._known_beside(base, rival)) for rival in rivals]
+        """
+        Return rivals with their linear fits beside the causes of `base`, best first.
+
+        What they change was found beside other causes.
+        """
+        asked = [
+            (_values(rival), self._that_touch(beside, rival), self._that_touch(base.causes, rival))
+            for rival in rivals
+        ]
         unknown = {
             key: rival
             for key, rival in zip(asked, rivals, strict=True)
@@ -103,7 +129,7 @@ class Rounds:
         if unknown:
             causes = list(unknown.values())
             found = screen(
-                self._problem, base, causes, changes_of(causes), self._signatures_of(base)
+                self.problem, base, causes, changes_of(causes), self._signatures_of(base)
             )
             by_values = {_values(item.cause): item for item in found}
             self._screened |= {key: by_values.get(_values(unknown[key])) for key in unknown}
@@ -115,30 +141,48 @@ class Rounds:
         key = tuple(map(_values, base.causes))
         if key not in self._of_base:
             self._of_base[key] = [
-                signature(self._problem, base, base.causes, place)
+                signature(self.problem, base, base.causes, place)
                 for place in range(len(base.causes))
             ]
         return self._of_base[key]
 
-    def _as_found_at_first(self, causes: Sequence[Cause]) -> list[Change | None]:
-        return [self._changes[_values(cause)] for cause in causes]
+    def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:
+        return [self._changes[self._at_first(rival)] for rival in rivals]
+
+    def _at_first(self, candidate: Cause) -> tuple[_Values, _Beside]:
+        return _values(candidate), self._that_touch(self._beside, candidate)
 
     def _lines(self, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
-        """Return what may have made the lines in what the plant leaves over."""
-        key = self._known_in(base, {PLANT})
-        if key not in self._at_lines:
-            self._at_lines[key] = screen_lines(self._problem, base, rivals, self._workers)
-        return self._at_lines[key]
+        """
+        Return what may have made the lines in what the plant leaves over.
 
-    def _known_beside(self, base: Hypothesis, rival: Cause) -> tuple[_Values, ...]:
-        return self._known_in(base, set(self._problem.touched(rival.effect, rival.axis)))
-
-    def _known_in(self, base: Hypothesis, blocks: set[str]) -> tuple[_Values, ...]:
-        """Return the causes of `base` that change any of some blocks."""
-        return tuple(
+        It is asked again beside other causes in the plant alone, and where the lines are others. What a
+        sensor of a current shows goes into the plant, too, but a line that stays where it was was not
+        made by that.
+        """
+        found = lines(
+            self.problem, base, brief=not far(base)
+        )  # a motion that swings has lines, too
+        in_plant = tuple(
             _values(cause)
             for cause in base.causes
-            if blocks.intersection(self._problem.touched(cause.effect, cause.axis))
+            if tuple(self.problem.touched(cause.effect, cause.axis)) == (PLANT,)
+        )
+        key = in_plant, tuple((line.channel, line.frequency_hz, line.brief) for line in found)
+        if key not in self._at_lines:
+            self._at_lines[key] = screen_lines(self.problem, base, rivals, found, self.workers)
+        return self._at_lines[key]
+
+    def _that_touch(self, causes: Sequence[Cause], candidate: Cause) -> _Beside:
+        """Return those of some causes that change any block that a candidate changes."""
+        blocks = set(self.problem.touched(candidate.effect, candidate.axis))
+        return self._that_change(causes, blocks)
+
+    def _that_change(self, causes: Sequence[Cause], blocks: set[str]) -> _Beside:
+        return tuple(
+            _values(cause)
+            for cause in causes
+            if blocks.intersection(self.problem.touched(cause.effect, cause.axis))
         )
 
     def _changed(self, causes: Sequence[Cause]) -> set[str]:
@@ -146,7 +190,7 @@ class Rounds:
         then, now = ({cause.name: cause for cause in some} for some in (self._beside, causes))
         others = [(then | now)[name] for name in sorted(then.keys() ^ now.keys())]
         return {
-            block for cause in others for block in self._problem.touched(cause.effect, cause.axis)
+            block for cause in others for block in self.problem.touched(cause.effect, cause.axis)
         }
 
 

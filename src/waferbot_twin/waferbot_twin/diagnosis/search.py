@@ -24,7 +24,7 @@ be told apart from it with this data.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +35,7 @@ from waferbot_twin.diagnosis.fitting import fit_causes, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.intervals import AS_LIKELY
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.screening import Progress, candidates
+from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search_state import (
     TELLS_APART,
@@ -56,7 +56,6 @@ from waferbot_twin.diagnosis.together import (
     unpredictable_parts,
     usual_causes,
 )
-from waferbot_twin.effects.effect import Effect
 
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""
@@ -68,22 +67,15 @@ BENT = 0.1
 """Correlation of estimates from which on one cause may have bent another."""
 
 
-def search(
-    finding: Problem,
-    judging: Problem,
-    effects: Iterable[Effect],
-    progress: Progress,
-    workers: int = 1,
-    known_causes: Search | None = None,
-) -> Search:
+def search(rounds: Rounds, judging: Problem, known_causes: Search | None = None) -> Search:
     """
-    Find the causes in the logs of `finding` that also explain those of `judging`.
+    Find the causes in the logs of `rounds` that also explain those of `judging`.
 
     Beside those that another search has found, if there is one: they are fitted anew to these logs. Of
     those in an exact block that still leave some over, the others showed too little: they are looked for
     anew, too.
     """
-    effects = list(effects)
+    finding, progress, workers = rounds.problem, rounds.progress, rounds.workers
     nothing, judged_nothing = evaluate(finding), evaluate(judging)
     state = Search(nothing, judged_nothing, nothing, judged_nothing)
     if known_causes:
@@ -96,7 +88,7 @@ def search(
         state.trials = dict(known_causes.trials)
         state.feigned = set(known_causes.feigned)
     at_first = len(state.found.causes)
-    rounds = Rounds(finding, state.found, candidates(finding, effects), progress, workers)
+    rounds.begin(state.found)
     together = False
     for _ in range(MOST_ROUNDS):
         before = state.found
@@ -111,7 +103,7 @@ def search(
         fresh = not together and far(state.found) and stands_in
         if fresh:
             together = True
-            _take_together(finding, judging, state, effects, progress, workers)
+            _take_together(judging, state, rounds)
             # Fitted to these logs the model may seem near, and be as far off as before in others.
             state.far_off = far(state.found) or far(state.judged)
             if state.far_off:
@@ -121,7 +113,7 @@ def search(
     if known_causes and len(state.found.causes) == at_first:
         return state
     _confirm(finding, judging, state, progress, workers)
-    _revise(finding, judging, state, rounds, workers, progress)
+    _revise(judging, state, rounds)
     state.far_off = far(state.found)
     return state
 
@@ -154,27 +146,23 @@ def _leaves_far(before: Hypothesis, found: Hypothesis) -> bool:
     return changes[most] > 0.0 and far_channels(before)[most] and far_channels(found)[most]
 
 
-def _take_together(
-    finding: Problem,
-    judging: Problem,
-    state: Search,
-    effects: Sequence[Effect],
-    progress: Progress,
-    workers: int,
-) -> None:
+def _take_together(judging: Problem, state: Search, rounds: Rounds) -> None:
     """
     Fit all usual effects beside what was found; keep what is needed if the logs agree.
 
     An unusual cause of the plant's motion that was found while all these lacked stood in for them.
     """
+    finding = rounds.problem
     kept = tuple(
         cause
         for cause in state.found.causes
         if cause.effect.usual or PLANT not in finding.touched(cause.effect, cause.axis)
     )
-    causes = (*kept, *usual_causes(finding, effects, kept))
+    causes = (*kept, *usual_causes(finding, rounds.effects, kept))
     try:
-        result = fit_together(finding, judging, causes, state.tried, progress, workers)
+        result = fit_together(
+            finding, judging, causes, state.tried, rounds.progress, rounds.workers
+        )
         gained = gain_from_afar(finding, state.found, result.found)
         confirmed = gain_from_afar(judging, state.judged, result.judged)
     except UserError:
@@ -208,14 +196,7 @@ def _confirm(
     )
 
 
-def _revise(
-    finding: Problem,
-    judging: Problem,
-    state: Search,
-    rounds: Rounds,
-    workers: int,
-    progress: Progress,
-) -> None:
+def _revise(judging: Problem, state: Search, rounds: Rounds) -> None:
     """
     Ask again of each cause whether another explains the logs better, now that the others are known.
 
@@ -230,12 +211,12 @@ def _revise(
             cause
             for cause in causes
             if (cause.name, _names_beside(causes, cause)) not in settled
-            and _bent(finding, state.found, cause)
+            and _bent(rounds.problem, state.found, cause)
         ]
         if not open_ones:
             return
         beside = _names_beside(causes, open_ones[0])
-        _choose_again(finding, judging, state, open_ones[0], rounds, workers, progress)
+        _choose_again(judging, state, open_ones[0], rounds)
         settled |= {
             (cause.name, beside) for cause in state.found.causes if cause.name not in beside
         }
@@ -255,16 +236,9 @@ def _bent(problem: Problem, found: Hypothesis, cause: Cause) -> bool:
     return bool(np.max(np.abs(correlation[np.ix_(own, ~own)]), initial=0.0) > BENT)
 
 
-def _choose_again(
-    finding: Problem,
-    judging: Problem,
-    state: Search,
-    cause: Cause,
-    rounds: Rounds,
-    workers: int,
-    progress: Progress,
-) -> None:
+def _choose_again(judging: Problem, state: Search, cause: Cause, rounds: Rounds) -> None:
     """Put the best of what else could stand there in the place of a cause, if it is better."""
+    finding, progress, workers = rounds.problem, rounds.progress, rounds.workers
     others = tuple(other for other in state.found.causes if other.name != cause.name)
     try:
         found = fit_causes(finding, others)
@@ -319,7 +293,8 @@ def _rivals(taken: Fitted, fitted: Sequence[Fitted]) -> list[Rival]:
             2.0 * (taken.log_likelihood - item.log_likelihood),
             2.0 * (taken.found.log_likelihood - item.found.log_likelihood),
         )
-        if item.confirmed or rival.behind >= 0.0:  # else it was refuted, however likely it is
+        # Else it was refuted, however likely it is.
+        if item.confirmed or item.possible or rival.behind >= 0.0:
             rivals.setdefault(rival.cause.name, rival)
     rivals.pop(taken.found.causes[-1].name, None)
     return list(rivals.values())
