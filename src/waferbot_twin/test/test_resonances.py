@@ -18,15 +18,14 @@ from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate, width_of
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.resonances import (
-    TUNING,
     _agrees,
     _folded,
     _in_continuous_time,
     screen_lines,
-    tuned,
 )
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.spectral_lines import Line, lines
+from waferbot_twin.diagnosis.tuning import TUNING, tuned
 from waferbot_twin.effects import find
 from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.variant import Variant
@@ -152,8 +151,8 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
     def as_it_is(problem, causes):
         return SimpleNamespace(log_likelihood=0.5 * gain(problem, None, causes[-1]))
 
-    monkeypatch.setattr('waferbot_twin.diagnosis.resonances._in_any_phase', gain)
-    monkeypatch.setattr('waferbot_twin.diagnosis.resonances.evaluate', as_it_is)
+    monkeypatch.setattr('waferbot_twin.diagnosis.tuning.in_any_phase', gain)
+    monkeypatch.setattr('waferbot_twin.diagnosis.tuning.evaluate', as_it_is)
     tried = [
         gain(None, None, Cause(effect, 'x_rotate', {item.name: item.typical * factor}))
         for factor in TUNING
@@ -166,7 +165,7 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
     assert found.values[item.name] == pytest.approx(right, rel=0.005)
     # what suits in some phase only, but not as it is, is no better than the value at hand
     monkeypatch.setattr(
-        'waferbot_twin.diagnosis.resonances.evaluate',
+        'waferbot_twin.diagnosis.tuning.evaluate',
         lambda problem, causes: SimpleNamespace(log_likelihood=-causes[-1].values[item.name]),
     )
     assert tuned(problem, nothing, start) is start

@@ -28,12 +28,11 @@ from dataclasses import replace
 
 import numpy as np
 from joblib import Parallel, delayed
-from scipy.signal import hilbert
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.modes import Mode, coupled_modes
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of, whole_change
-from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
+from waferbot_twin.diagnosis.hypothesis import Hypothesis, parameters_of, whole_change
+from waferbot_twin.diagnosis.jointly import by_channel
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import Screened
 from waferbot_twin.diagnosis.spectral_lines import (
@@ -44,6 +43,7 @@ from waferbot_twin.diagnosis.spectral_lines import (
     spectrum_of,
     strongest,
 )
+from waferbot_twin.diagnosis.tuning import CLOSE, COARSELY, best_of, closer, may_ring
 
 OWN = 0.3
 """Share of a mode's energy that a part has at least for the mode to be its own."""
@@ -59,35 +59,6 @@ FOLDS = 2
 
 CORRECTIONS = 2
 """How often a value is corrected by the line that it makes."""
-
-CLOSE = (
-    (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
-    (-0.003, -0.002, -0.001, 0.0, 0.001, 0.002, 0.003),
-    (-0.0009, -0.0006, -0.0003, 0.0, 0.0003, 0.0006, 0.0009),
-)
-"""How far about a value others are tried, as a share of it; then ever closer about the best of these."""
-
-TUNING = tuple(np.geomspace(0.04, 3.0, 45))
-"""Times its typical value at which a compliance is tried, 10 % apart."""
-
-RIVALLING, MOST_MAXIMA = 0.5, 2
-"""
-Share of the highest gain from which on another maximum is tried more closely, too, and how many.
-
-One may be narrower than these values are apart: then the right one seems lower than a wrong one.
-"""
-
-SOFTLY = (0.78, 0.88, 1.0, 1.13, 1.28)
-"""Times its value at which one is tried that is softer than all these."""
-
-COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
-"""As `CLOSE`, about the best of these."""
-
-ENOUGH = 1.0
-"""Gain in 2 ln L below which values still closer are not worth trying."""
-
-PLAINLY = 10.0
-"""Gain in 2 ln L from which on another value is plainly better."""
 
 FAINTLY = 4.0
 """
@@ -118,12 +89,6 @@ def screen_lines(
         for at_lines in each
         for tried, gain in at_lines
     ]
-
-
-def may_ring(problem: Problem, cause: Cause) -> bool:
-    """Return whether a cause is the compliance, not yet tuned, of what the model holds rigid."""
-    rigid = all(item.neutral == 0.0 for item in parameters_of(problem, cause))
-    return cause.effect.rings and rigid and not cause.narrow
 
 
 def _at_lines(
@@ -256,91 +221,7 @@ def _refined(
 ) -> Iterator[tuple[Cause, float]]:
     """Give the best value near that of a compliance, and its gain in 2 ln L, if it may gain anything."""
     if line.brief:  # its frequency is known to some parts of a hundred only
-        cause, gain = _best(problem, base, cause, [1.0 + share for share in COARSELY])
+        cause, gain = best_of(problem, base, cause, [1.0 + share for share in COARSELY])
         if gain < FAINTLY:
             return
-    yield _closer(problem, base, cause)
-
-
-def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, float]:
-    """Return the best of the values close to that of a compliance, and its gain in 2 ln L."""
-    gain = -math.inf
-    for close in CLOSE:
-        before = gain
-        cause, gain = _best(problem, base, cause, [1.0 + share for share in close])
-        if gain < before + ENOUGH:
-            break
-    return cause, gain
-
-
-def _best(
-    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
-) -> tuple[Cause, float]:
-    """Return the best of so many times the value of a compliance, and its gain in 2 ln L."""
-    return max(_tried(problem, base, cause, factors), key=lambda item: item[1])
-
-
-def _tried(
-    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
-) -> list[tuple[Cause, float]]:
-    """Return so many times the value of a compliance, each with its gain in 2 ln L."""
-    (item,) = parameters_of(problem, cause)
-    value = cause.values[item.name]
-    about = [
-        cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
-        for factor in factors
-    ]
-    return [(one, _in_any_phase(problem, base, one)) for one in about]
-
-
-def _maxima(tried: Sequence[tuple[Cause, float]]) -> list[Cause]:
-    """Return what gains more than its neighbours, and much: the best first."""
-    gains = np.array([gain for _, gain in tried])
-    ends = np.concatenate([[-math.inf], gains, [-math.inf]])
-    peaks = np.flatnonzero(
-        (gains >= ends[:-2]) & (gains > ends[2:]) & (gains >= RIVALLING * gains.max())
-    )
-    best_first = sorted((int(place) for place in peaks), key=lambda place: -gains[place])
-    return [tried[place][0] for place in best_first[:MOST_MAXIMA]]
-
-
-def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
-    """
-    Return a compliance where it rings as the logs do, of any size.
-
-    Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
-    told. The cause as it is where no other value explains the logs plainly better in any phase, or
-    none better as it is. Raises `UserError`.
-    """
-    (item,) = parameters_of(problem, cause)
-    narrow = replace(cause, narrow=(item.name,))
-    if cause.values[item.name] < TUNING[-1] * item.typical:
-        typical = narrow.with_values({item.name: item.typical})
-        tried = _tried(problem, base, typical, TUNING)
-    else:
-        tried = _tried(problem, base, narrow, SOFTLY)
-    about = [1.0 + share for share in COARSELY]
-    least = _in_any_phase(problem, base, cause) + PLAINLY
-    refined = [cause]
-    for one in _maxima(tried):
-        best, gain = _best(problem, base, one, about)
-        if gain >= least:
-            refined.append(_closer(problem, base, best)[0])
-    # In any phase much suits a little: as they are, values far too soft would be the worst of all.
-    return max(refined, key=lambda one: evaluate(problem, (*base.causes, one)).log_likelihood)
-
-
-def _in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
-    """
-    Return the gain in 2 ln L of what a cause changes, as large and in such phase as suits best.
-
-    That takes the change beside itself a quarter of a cycle later.
-    """
-    change = whole_change(problem, base, (*base.causes, cause))
-    both = {}
-    for block, matrix in change.items():
-        channels = by_channel(matrix[:, 0], base.residuals[block])
-        later = np.concatenate([hilbert(channel).imag for channel in channels])
-        both[block] = np.column_stack([matrix, later])
-    found = fit_jointly(problem, base.residuals, both, known=base.fits)
-    return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
+    yield closer(problem, base, cause)

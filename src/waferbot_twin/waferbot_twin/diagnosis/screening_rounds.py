@@ -32,6 +32,7 @@ from waferbot_twin.diagnosis.screening import (
 from waferbot_twin.diagnosis.spectral_lines import lines
 from waferbot_twin.diagnosis.together import far
 from waferbot_twin.diagnosis.tones import at_tones
+from waferbot_twin.diagnosis.tuning import screen_damped
 from waferbot_twin.effects.effect import Effect
 
 ANEW = 30
@@ -65,6 +66,7 @@ class Rounds:
         self._screened: dict[_Asked, Screened | None] = {}
         self._of_base: dict[_Beside, list[Signature]] = {}
         self._at_lines: dict[_Lines, list[Screened]] = {}
+        self._damped: dict[_Beside, list[Screened]] = {}
 
     def begin(self, base: Hypothesis) -> None:
         """Find what every candidate changes beside the causes of `base`, as far as that is not known."""
@@ -160,18 +162,30 @@ class Rounds:
         sensor of a current shows goes into the plant, too, but a line that stays where it was was not
         made by that.
         """
-        found = lines(
-            self.problem, base, brief=not far(base)
-        )  # a motion that swings has lines, too
-        in_plant = tuple(
-            _values(cause)
-            for cause in base.causes
-            if tuple(self.problem.touched(cause.effect, cause.axis)) == (PLANT,)
-        )
-        key = in_plant, tuple((line.channel, line.frequency_hz, line.brief) for line in found)
+        brief = not far(base)  # a motion that swings has lines, too
+        found = lines(self.problem, base, brief)
+        where = tuple((line.channel, line.frequency_hz, line.brief) for line in found)
+        key = self._in_plant(base), where
         if key not in self._at_lines:
             self._at_lines[key] = screen_lines(self.problem, base, rivals, found, self.workers)
         return self._at_lines[key]
+
+    def damped_rings(self, base: Hypothesis) -> list[Screened]:
+        """Return which compliances may make rings that no line shows, best first; slow."""
+        key = self._in_plant(base)
+        if key not in self._damped:
+            taken = {cause.name for cause in base.causes}
+            rivals = [cause for cause in self._candidates if cause.name not in taken]
+            self._damped[key] = screen_damped(self.problem, base, rivals, self.workers)
+        return _best_first(self._damped[key])
+
+    def _in_plant(self, base: Hypothesis) -> _Beside:
+        """Return the causes of `base` that change the plant alone."""
+        return tuple(
+            _values(cause)
+            for cause in base.causes
+            if self.problem.touched(cause.effect, cause.axis) == (PLANT,)
+        )
 
     def _that_touch(self, causes: Sequence[Cause], candidate: Cause) -> _Beside:
         """Return those of some causes that change any block that a candidate changes."""

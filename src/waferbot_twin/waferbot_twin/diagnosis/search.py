@@ -11,11 +11,11 @@ From residuals to causes.
        2 (ln L_1 - ln L_0) > k ln N + 4 ln M,
 
    and if the logs kept for judging, with another motion, become more likely too.
-4. Again from 1 until nothing is taken. If what is left of the plant is far too large for noise, and
-   the cause taken does not change that where it changes most, everything usual is fitted together
-   once (`together`), and the search goes on from there. Then each
-   cause is taken out in turn, to see whether the others can do without it, and chosen again beside
-   those that may have bent it.
+4. Again from 1 until nothing is taken, then also of compliances that ring too briefly for a line
+   (`tuning`). If what is left of the plant is far too large for noise, and the cause taken does not
+   change that where it changes most, everything usual is fitted together once (`together`), and the
+   search goes on from there. Then each cause is taken out in turn, to see whether the others can do
+   without it, and chosen again beside those that may have bent it.
 
 Of everything that was fitted in place of a cause, what explains the logs as well is kept: these cannot
 be told apart from it with this data.
@@ -108,7 +108,7 @@ def search(rounds: Rounds, judging: Problem, known_causes: Search | None = None)
             state.far_off = far(state.found) or far(state.judged)
             if state.far_off:
                 return state
-        if not (taken or fresh):
+        if not (taken or fresh or _take_damped_ring(judging, state, rounds)):
             break
     if known_causes and len(state.found.causes) == at_first:
         return state
@@ -170,6 +170,21 @@ def _take_together(judging: Problem, state: Search, rounds: Rounds) -> None:
     more = result.found.parameters - state.found.parameters
     if gained > price_of(more, state.found.samples, state.tried) and confirmed > 0.0:
         _take(state, result)
+
+
+def _take_damped_ring(judging: Problem, state: Search, rounds: Rounds) -> bool:
+    """
+    Take the best of the compliances that ring too briefly for a line, if there is one.
+
+    They are tried one value after another, so only where nothing else is found and the model is near.
+    """
+    if far(state.found) or far(state.judged):
+        return False
+    screened = rounds.damped_rings(state.found)
+    state.tried += len(screened)
+    fitted = fit_best(rounds.problem, judging, state, screened, rounds.progress, rounds.workers)
+    _note_trials(state, fitted)
+    return _take_best(rounds.problem, judging, state, fitted)
 
 
 def _take(state: Search, result: Together) -> None:

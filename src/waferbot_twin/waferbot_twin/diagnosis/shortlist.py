@@ -23,11 +23,11 @@ from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
 from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
 from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.resonances import may_ring, tuned
 from waferbot_twin.diagnosis.rungs import between_rungs
 from waferbot_twin.diagnosis.screening import Progress, Screened
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.diagnosis.together import far, price_of
+from waferbot_twin.diagnosis.tuning import may_ring, tuned
 
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""

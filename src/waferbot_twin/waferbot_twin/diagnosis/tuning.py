@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The value at which a compliance rings as the logs do.
+
+What a compliance changes is a ring; a change of its frequency by a part of a hertz changes the phase of
+all of it, and the likelihood goes up and down. So each value is tried in whatever phase suits best,
+which asks only that the ring is coherent for as long as it lasts: of one that is damped within a few
+cycles values some percent apart can still be told, of one that goes on (`resonances`) parts of a
+thousand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.signal import hilbert
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.hypothesis import (
+    Hypothesis,
+    evaluate,
+    in_quick_steps,
+    parameters_of,
+    whole_change,
+)
+from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
+from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.record import Array
+from waferbot_twin.diagnosis.screening import Screened
+from waferbot_twin.diagnosis.whitening import whitened
+
+CLOSE = (
+    (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
+    (-0.003, -0.002, -0.001, 0.0, 0.001, 0.002, 0.003),
+    (-0.0009, -0.0006, -0.0003, 0.0, 0.0003, 0.0006, 0.0009),
+)
+"""How far about a value others are tried, as a share of it; then ever closer about the best of these."""
+
+TUNING = tuple(np.geomspace(0.04, 3.0, 45))
+"""Times its typical value at which a compliance is tried, 10 % apart."""
+
+RIVALLING, MOST_MAXIMA = 0.5, 2
+"""
+Share of the highest gain from which on another maximum is tried more closely, too, and how many.
+
+One may be narrower than these values are apart: then the right one seems lower than a wrong one.
+"""
+
+SOFTLY = (0.78, 0.88, 1.0, 1.13, 1.28)
+"""Times its value at which one is tried that is softer than all these."""
+
+COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
+"""As `CLOSE`, about the best of these."""
+
+ENOUGH = 1.0
+"""Gain in 2 ln L below which values still closer are not worth trying."""
+
+PLAINLY = 10.0
+"""Gain in 2 ln L from which on another value is plainly better."""
+
+DAMPED = tuple(np.geomspace(0.02, 2.0, 38))
+"""
+Times its typical value at which a compliance is tried where nothing else is found: 13 % apart. Of those
+in the machine's bearings and shafts that are as large as a log of a second shows, all lie here.
+"""
+
+SLOWER = tuple(np.linspace(0.95, 1.25, 13))
+"""
+Times its value at which one is tried about the best of these. Those are found in steps of the encoders'
+cycle, in which a part rings more slowly, at 1.6 kHz by 6 %: the right value is a little softer.
+"""
+
+STANDS_OUT = 12.0
+"""
+Gain in 2 ln L from which on the best of these is tried more closely. Each has two degrees of freedom, so
+in noise one in 400 gains as much.
+"""
+
+
+def may_ring(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause is the compliance, not yet tuned, of what the model holds rigid."""
+    rigid = all(item.neutral == 0.0 for item in parameters_of(problem, cause))
+    return cause.effect.rings and rigid and not cause.narrow
+
+
+def screen_damped(
+    problem: Problem, base: Hypothesis, rivals: Sequence[Cause], workers: int = 1
+) -> list[Screened]:
+    """
+    Try every compliance that the model holds rigid for rings that are damped too quickly for a line.
+
+    Costs a simulation of the plant for each value. What a value changes is taken from noise-free logs,
+    as far as these are to be had: noise of readings makes any stiff part ring, and that goes together
+    with what it leaves over. Raises `UserError` if the model without them blows up.
+    """
+    stiff = [
+        cause for cause in rivals if may_ring(problem, cause) and not any(cause.values.values())
+    ]
+    if not stiff:
+        return []
+    ideal = problem.ideal(base.causes) or problem
+    quick = in_quick_steps(ideal, evaluate(ideal, base.causes))
+    pool = Parallel(n_jobs=workers, batch_size=1)
+    each = pool(delayed(_damped)(problem, base, cause, *quick) for cause in stiff)
+    return [
+        Screened(tried, gain - math.log(base.samples), np.zeros(1))
+        for found in each
+        for tried, gain in found
+    ]
+
+
+def _damped(
+    problem: Problem, base: Hypothesis, cause: Cause, quick: Problem, beside: Hypothesis
+) -> list[tuple[Cause, float]]:
+    """
+    Return the best values of a compliance, each with its gain in 2 ln L, that gain anything.
+
+    What they change is that of `quick` beside the causes there.
+    """
+    (item,) = parameters_of(problem, cause)
+    narrow = replace(cause, narrow=(item.name,))
+    values = [narrow.with_values({item.name: factor * item.typical}) for factor in DAMPED]
+    found: list[tuple[Cause, float]] = []
+    try:
+        tried = [
+            (one, _promise(base, whole_change(quick, beside, (*beside.causes, one))))
+            for one in values
+        ]
+        if max(gain for _, gain in tried) < STANDS_OUT:
+            return []
+        for one in _maxima(tried):
+            best, _ = closer(problem, base, best_of(problem, base, one, SLOWER)[0])
+            there = evaluate(problem, (*base.causes, best))
+            gain = 2.0 * (there.log_likelihood - base.log_likelihood)
+            if gain > STANDS_OUT:
+                found.append((best, gain))
+    except UserError:  # the machine blows up with it
+        return []
+    return found
+
+
+def _promise(base: Hypothesis, change: Signature) -> float:
+    """Return the gain in 2 ln L of a change in any phase, in noise of the colour of the residuals."""
+    blocks = list(change)
+    rows, right = whitened(
+        [channel for block in blocks for channel in base.residuals[block]],
+        [part for block in blocks for part in _with_later(change[block], base.residuals[block])],
+        [colour for block in blocks for colour in base.fits[block].colours],
+    )
+    scale = np.sqrt(np.sum(rows**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    solution, *_ = np.linalg.lstsq(rows / scale, right, rcond=1e-10)
+    return float(right @ right - np.sum((rows / scale @ solution - right) ** 2))
+
+
+def _with_later(change: Array, channels: Sequence[Array]) -> list[Array]:
+    """Return a change channel by channel, beside itself a quarter of a cycle later: (N, 2)."""
+    parts = by_channel(change, channels)
+    return [np.column_stack([part, hilbert(part[:, 0]).imag]) for part in parts]
+
+
+def closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, float]:
+    """Return the best of the values close to that of a compliance, and its gain in 2 ln L."""
+    gain = -math.inf
+    for close in CLOSE:
+        before = gain
+        cause, gain = best_of(problem, base, cause, [1.0 + share for share in close])
+        if gain < before + ENOUGH:
+            break
+    return cause, gain
+
+
+def best_of(
+    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
+) -> tuple[Cause, float]:
+    """Return the best of so many times the value of a compliance, and its gain in 2 ln L."""
+    return max(values_tried(problem, base, cause, factors), key=lambda item: item[1])
+
+
+def values_tried(
+    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
+) -> list[tuple[Cause, float]]:
+    """Return so many times the value of a compliance, each with its gain in 2 ln L."""
+    (item,) = parameters_of(problem, cause)
+    value = cause.values[item.name]
+    about = [
+        cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
+        for factor in factors
+    ]
+    return [(one, in_any_phase(problem, base, one)) for one in about]
+
+
+def _maxima(tried: Sequence[tuple[Cause, float]]) -> list[Cause]:
+    """Return what gains more than its neighbours, and much: the best first."""
+    gains = np.array([gain for _, gain in tried])
+    ends = np.concatenate([[-math.inf], gains, [-math.inf]])
+    peaks = np.flatnonzero(
+        (gains >= ends[:-2]) & (gains > ends[2:]) & (gains >= RIVALLING * gains.max())
+    )
+    best_first = sorted((int(place) for place in peaks), key=lambda place: -gains[place])
+    return [tried[place][0] for place in best_first[:MOST_MAXIMA]]
+
+
+def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
+    """
+    Return a compliance where it rings as the logs do, of any size.
+
+    Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
+    told. The cause as it is where no other value explains the logs plainly better in any phase, or
+    none better as it is. Raises `UserError`.
+    """
+    (item,) = parameters_of(problem, cause)
+    narrow = replace(cause, narrow=(item.name,))
+    if cause.values[item.name] < TUNING[-1] * item.typical:
+        typical = narrow.with_values({item.name: item.typical})
+        tried = values_tried(problem, base, typical, TUNING)
+    else:
+        tried = values_tried(problem, base, narrow, SOFTLY)
+    about = [1.0 + share for share in COARSELY]
+    least = in_any_phase(problem, base, cause) + PLAINLY
+    refined = [cause]
+    for one in _maxima(tried):
+        best, gain = best_of(problem, base, one, about)
+        if gain >= least:
+            refined.append(closer(problem, base, best)[0])
+    # In any phase much suits a little: as they are, values far too soft would be the worst of all.
+    return max(refined, key=lambda one: evaluate(problem, (*base.causes, one)).log_likelihood)
+
+
+def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
+    """
+    Return the gain in 2 ln L of what a cause changes, as large and in such phase as suits best.
+
+    That takes the change beside itself a quarter of a cycle later.
+    """
+    change = whole_change(problem, base, (*base.causes, cause))
+    both = {
+        block: np.vstack(_with_later(matrix, base.residuals[block]))
+        for block, matrix in change.items()
+    }
+    found = fit_jointly(problem, base.residuals, both, known=base.fits)
+    return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
