@@ -21,6 +21,7 @@ finds the rest.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -43,7 +44,17 @@ from waferbot_twin.diagnosis.spectral_lines import (
     spectrum_of,
     strongest,
 )
-from waferbot_twin.diagnosis.tuning import CLOSE, COARSELY, best_of, closer, may_ring
+from waferbot_twin.diagnosis.tuning import (
+    CLOSE,
+    COARSELY,
+    STANDS_OUT,
+    NoiseFree,
+    closer,
+    held_rigid,
+    noise_free,
+    promise,
+    values_tried,
+)
 
 OWN = 0.3
 """Share of a mode's energy that a part has at least for the mode to be its own."""
@@ -60,14 +71,6 @@ FOLDS = 2
 CORRECTIONS = 2
 """How often a value is corrected by the line that it makes."""
 
-FAINTLY = 4.0
-"""
-Gain in 2 ln L below which no value about one that may have made a brief line is tried more closely.
-
-The best of seven independent values, each in the phase that suits (two degrees of freedom), gains
-2 (1 + 1/2 + ... + 1/7) = 5.2 in noise in the mean.
-"""
-
 
 def screen_lines(
     problem: Problem,
@@ -77,13 +80,12 @@ def screen_lines(
     workers: int = 1,
 ) -> list[Screened]:
     """Try every compliance that the model holds rigid at the lines that it may have made."""
-    stiff = [
-        cause
-        for cause in rivals
-        if found and not any(cause.values.values()) and may_ring(problem, cause)
-    ]
+    stiff = held_rigid(problem, rivals) if found else []
+    if not stiff:
+        return []
+    ideal = noise_free(problem, base)
     pool = Parallel(n_jobs=workers, batch_size=1)
-    each = pool(delayed(_at_lines)(problem, base, cause, found) for cause in stiff)
+    each = pool(delayed(_at_lines)(problem, base, cause, found, ideal) for cause in stiff)
     return [
         Screened(tried, gain - math.log(base.samples), np.zeros(1))
         for at_lines in each
@@ -92,7 +94,11 @@ def screen_lines(
 
 
 def _at_lines(
-    problem: Problem, base: Hypothesis, cause: Cause, found: Sequence[Line]
+    problem: Problem,
+    base: Hypothesis,
+    cause: Cause,
+    found: Sequence[Line],
+    ideal: NoiseFree,
 ) -> list[tuple[Cause, float]]:
     """Return a compliance with each value that may have made a line, and its gain in 2 ln L there."""
     (parameter,) = parameters_of(problem, cause)
@@ -114,7 +120,7 @@ def _at_lines(
                 if found_there is None or any(_same(found_there, other) for other in begun):
                     continue
                 begun.append(found_there)
-                tried += _refined(problem, base, found_there, line)
+                tried += _refined(problem, base, found_there, line, ideal)
             except UserError:  # the machine blows up with it
                 continue
     return tried
@@ -217,11 +223,18 @@ def _on_line(
 
 
 def _refined(
-    problem: Problem, base: Hypothesis, cause: Cause, line: Line
+    problem: Problem, base: Hypothesis, cause: Cause, line: Line, ideal: NoiseFree
 ) -> Iterator[tuple[Cause, float]]:
-    """Give the best value near that of a compliance, and its gain in 2 ln L, if it may gain anything."""
-    if line.brief:  # its frequency is known to some parts of a hundred only
-        cause, gain = best_of(problem, base, cause, [1.0 + share for share in COARSELY])
-        if gain < FAINTLY:
+    """
+    Give the best value near that of a compliance, and its gain in 2 ln L, if it may gain anything.
+
+    Of a brief line the frequency is known to some parts of a hundred only, and most are noise: others
+    about it are tried in noise-free logs first.
+    """
+    if line.brief:
+        gain_of = functools.partial(promise, base, ideal)
+        tried = values_tried(problem, cause, COARSELY, gain_of)
+        cause, gain = max(tried, key=lambda item: item[1])
+        if gain < STANDS_OUT:
             return
     yield closer(problem, base, cause)

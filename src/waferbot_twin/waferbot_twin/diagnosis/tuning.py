@@ -11,9 +11,10 @@ thousand.
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -27,7 +28,7 @@ from waferbot_twin.diagnosis.hypothesis import (
     parameters_of,
     whole_change,
 )
-from waferbot_twin.diagnosis.jointly import Signature, by_channel, fit_jointly
+from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
@@ -53,8 +54,8 @@ One may be narrower than these values are apart: then the right one seems lower 
 SOFTLY = (0.78, 0.88, 1.0, 1.13, 1.28)
 """Times its value at which one is tried that is softer than all these."""
 
-COARSELY = (-0.075, -0.05, -0.025, 0.0, 0.025, 0.05, 0.075)
-"""As `CLOSE`, about the best of these."""
+COARSELY = (0.925, 0.95, 0.975, 1.0, 1.025, 1.05, 1.075)
+"""Times its value at which one is tried about the best of these, or about one roughly known."""
 
 ENOUGH = 1.0
 """Gain in 2 ln L below which values still closer are not worth trying."""
@@ -81,10 +82,45 @@ in noise one in 400 gains as much.
 """
 
 
+@dataclass(frozen=True)
+class NoiseFree:
+    """Logs in which something is tried, and the hypothesis beside which it is."""
+
+    problem: Problem
+    beside: Hypothesis
+
+    def in_quick_steps(self) -> NoiseFree:
+        """Return the same in steps of the encoders' cycle."""
+        return NoiseFree(*in_quick_steps(self.problem, self.beside))
+
+
+def noise_free(problem: Problem, base: Hypothesis) -> NoiseFree:
+    """
+    Return logs in which rings are tried without the noise of readings: that makes any stiff part ring.
+
+    Logs that do not say what was commanded stand for themselves, with their noise, and so do those in
+    which the model blows up without measured positions to hold it.
+    """
+    try:
+        ideal = problem.ideal(base.causes)
+        return (
+            NoiseFree(ideal, evaluate(ideal, base.causes)) if ideal else NoiseFree(problem, base)
+        )
+    except UserError:
+        return NoiseFree(problem, base)
+
+
 def may_ring(problem: Problem, cause: Cause) -> bool:
     """Return whether a cause is the compliance, not yet tuned, of what the model holds rigid."""
     rigid = all(item.neutral == 0.0 for item in parameters_of(problem, cause))
     return cause.effect.rings and rigid and not cause.narrow
+
+
+def held_rigid(problem: Problem, rivals: Iterable[Cause]) -> list[Cause]:
+    """Return the compliances that may ring of which there is none yet."""
+    return [
+        cause for cause in rivals if may_ring(problem, cause) and not any(cause.values.values())
+    ]
 
 
 def screen_damped(
@@ -93,19 +129,14 @@ def screen_damped(
     """
     Try every compliance that the model holds rigid for rings that are damped too quickly for a line.
 
-    Costs a simulation of the plant for each value. What a value changes is taken from noise-free logs,
-    as far as these are to be had: noise of readings makes any stiff part ring, and that goes together
-    with what it leaves over. Raises `UserError` if the model without them blows up.
+    Costs a simulation of the plant for each value.
     """
-    stiff = [
-        cause for cause in rivals if may_ring(problem, cause) and not any(cause.values.values())
-    ]
+    stiff = held_rigid(problem, rivals)
     if not stiff:
         return []
-    ideal = problem.ideal(base.causes) or problem
-    quick = in_quick_steps(ideal, evaluate(ideal, base.causes))
+    quick = noise_free(problem, base).in_quick_steps()
     pool = Parallel(n_jobs=workers, batch_size=1)
-    each = pool(delayed(_damped)(problem, base, cause, *quick) for cause in stiff)
+    each = pool(delayed(_damped)(problem, base, cause, quick) for cause in stiff)
     return [
         Screened(tried, gain - math.log(base.samples), np.zeros(1))
         for found in each
@@ -114,22 +145,14 @@ def screen_damped(
 
 
 def _damped(
-    problem: Problem, base: Hypothesis, cause: Cause, quick: Problem, beside: Hypothesis
+    problem: Problem, base: Hypothesis, cause: Cause, quick: NoiseFree
 ) -> list[tuple[Cause, float]]:
-    """
-    Return the best values of a compliance, each with its gain in 2 ln L, that gain anything.
-
-    What they change is that of `quick` beside the causes there.
-    """
+    """Return the best values of a compliance, each with its gain in 2 ln L, that gain anything."""
     (item,) = parameters_of(problem, cause)
-    narrow = replace(cause, narrow=(item.name,))
-    values = [narrow.with_values({item.name: factor * item.typical}) for factor in DAMPED]
+    typical = replace(cause.with_values({item.name: item.typical}), narrow=(item.name,))
     found: list[tuple[Cause, float]] = []
     try:
-        tried = [
-            (one, _promise(base, whole_change(quick, beside, (*beside.causes, one))))
-            for one in values
-        ]
+        tried = values_tried(problem, typical, DAMPED, functools.partial(promise, base, quick))
         if max(gain for _, gain in tried) < STANDS_OUT:
             return []
         for one in _maxima(tried):
@@ -143,8 +166,13 @@ def _damped(
     return found
 
 
-def _promise(base: Hypothesis, change: Signature) -> float:
-    """Return the gain in 2 ln L of a change in any phase, in noise of the colour of the residuals."""
+def promise(base: Hypothesis, logs: NoiseFree, cause: Cause) -> float:
+    """
+    Return the gain in 2 ln L of what a cause changes in noise-free logs, in any size and phase.
+
+    In noise of the colour that the residuals of `base` have as they are.
+    """
+    change = whole_change(logs.problem, logs.beside, (*logs.beside.causes, cause))
     blocks = list(change)
     rows, right = whitened(
         [channel for block in blocks for channel in base.residuals[block]],
@@ -178,11 +206,12 @@ def best_of(
     problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
 ) -> tuple[Cause, float]:
     """Return the best of so many times the value of a compliance, and its gain in 2 ln L."""
-    return max(values_tried(problem, base, cause, factors), key=lambda item: item[1])
+    gain_of = functools.partial(in_any_phase, problem, base)
+    return max(values_tried(problem, cause, factors, gain_of), key=lambda item: item[1])
 
 
 def values_tried(
-    problem: Problem, base: Hypothesis, cause: Cause, factors: Sequence[float]
+    problem: Problem, cause: Cause, factors: Sequence[float], gain_of: Callable[[Cause], float]
 ) -> list[tuple[Cause, float]]:
     """Return so many times the value of a compliance, each with its gain in 2 ln L."""
     (item,) = parameters_of(problem, cause)
@@ -191,7 +220,7 @@ def values_tried(
         cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
         for factor in factors
     ]
-    return [(one, in_any_phase(problem, base, one)) for one in about]
+    return [(one, gain_of(one)) for one in about]
 
 
 def _maxima(tried: Sequence[tuple[Cause, float]]) -> list[Cause]:
@@ -215,16 +244,16 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     """
     (item,) = parameters_of(problem, cause)
     narrow = replace(cause, narrow=(item.name,))
+    gain_of = functools.partial(in_any_phase, problem, base)
     if cause.values[item.name] < TUNING[-1] * item.typical:
         typical = narrow.with_values({item.name: item.typical})
-        tried = values_tried(problem, base, typical, TUNING)
+        tried = values_tried(problem, typical, TUNING, gain_of)
     else:
-        tried = values_tried(problem, base, narrow, SOFTLY)
-    about = [1.0 + share for share in COARSELY]
+        tried = values_tried(problem, narrow, SOFTLY, gain_of)
     least = in_any_phase(problem, base, cause) + PLAINLY
     refined = [cause]
     for one in _maxima(tried):
-        best, gain = best_of(problem, base, one, about)
+        best, gain = best_of(problem, base, one, COARSELY)
         if gain >= least:
             refined.append(closer(problem, base, best)[0])
     # In any phase much suits a little: as they are, values far too soft would be the worst of all.
