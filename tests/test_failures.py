@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool
 
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import LOCKSTEP_TOPICS, STOP_TOPIC
+from waferbot_lockstep.node import FAREWELL_S
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.recording.reader import read_recording
 
@@ -420,6 +421,34 @@ def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, rec
     whole = recorded('inprocess')
     for name, array in after.topics.items():
         np.testing.assert_array_equal(array, whole[name][: len(array)])
+
+
+def test_a_recorder_that_stands_still_while_the_others_end_misses_nothing(
+    start, connect, tmp_path
+):
+    out = tmp_path / 'run'
+    ticks = 900
+    run = ['run', '--experiment', 'constant', '--duration', f'{ticks / 18000}', '--out', str(out)]
+    program = start('waferbot_twin', *run, '--without', 'plant')
+    program.find_children(2)
+    domain = domain_of(program)
+    plant = start_node(start, 'plant', domain, 'start_paused:=true', f'end_tick:={ticks}')
+    client = connect(domain)
+    heard = []
+    kind = waferbot_msgs.msg.PhaseVoltages
+    client.node.create_subscription(kind, 'phase_voltages', heard.append, 50)
+    client.spin_until(lambda: heard, 'tick 0')
+    client.spin_until(lambda: client.node.count_subscribers('phase_voltages') == 3, 'a recorder')
+    time.sleep(1.0)
+    program.signal(signal.SIGSTOP)
+    client.call(SetBool, 'plant/pause', SetBool.Request(data=False))
+    client.spin_until(lambda: heard[-1].tick == ticks - 1, 'the end')
+    time.sleep(4 * FAREWELL_S)
+    assert plant.process.poll() is None, 'the plant has left though it was not heard'
+    program.signal(signal.SIGCONT)
+    assert program.wait(30) == 0, program.output
+    assert read_recording(out).summary['complete'] == 'true'
+    assert plant.wait(30) == 0, plant.output
 
 
 def test_a_node_that_cannot_start_ends_the_run_with_its_reason(start, tmp_path):

@@ -29,6 +29,7 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import InvalidParameterValueException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
@@ -47,6 +48,8 @@ from waferbot_lockstep.wire import WireFormat
 
 SIGN_OF_LIFE_PERIOD_S = 0.1
 FAREWELL_S = 0.3
+FAREWELL_LIMIT_S = 7.0
+"""Two of the 3 s after which Fast DDS asks the readers what they have, and a margin."""
 DIAGNOSTICS_PERIOD_S = 1.0
 WAITING_NOTICE_PERIOD_S = 5.0
 INTERRUPTED = 'interrupted by the user'
@@ -201,18 +204,34 @@ class LockstepNode(Node):
             self.fail(INTERRUPTED)
             self.outcome = ''
 
-    def take_leave(self) -> None:
+    def take_leave(self, interrupt: Interrupt) -> None:
         """
-        Stay a moment after the end, repeating the last messages, so that nobody misses them.
+        Stay after the end, repeating the last messages, so that nobody misses one.
 
-        Waiting for acknowledgements would do too, but Fast DDS asks for them only every 3 s, unless
-        new messages make it ask.
+        A message that is lost on the way is sent again when its reader finds out, and only while its
+        writer lives. Readers find out when Fast DDS asks them what they have, every 3 s; repetitions
+        do not make it ask. So after an ordinary end the node stays until all it said is acknowledged,
+        or until an interrupt says that it is not needed any more, but not shorter than `FAREWELL_S`
+        nor longer than `FAREWELL_LIMIT_S`. After any other end it stays `FAREWELL_S`: whoever does not
+        answer then may be dead.
         """
-        end_s = time.monotonic() + FAREWELL_S
-        while time.monotonic() < end_s:
+        begun_s = time.monotonic()
+        ordinary = self._stop_publisher not in self._last_messages
+        while True:
             for publisher, message in self._last_messages.items():
                 publisher.publish(message)
             time.sleep(SIGN_OF_LIFE_PERIOD_S / 2)
+            stayed_s = time.monotonic() - begun_s
+            if stayed_s < FAREWELL_S:
+                continue
+            if not ordinary or interrupt.raised or stayed_s > FAREWELL_LIMIT_S:
+                return
+            if self._all_acknowledged():
+                return
+
+    def _all_acknowledged(self) -> bool:
+        at_once = Duration()
+        return all(publisher.wait_for_all_acked(at_once) for publisher in self._last_messages)
 
     def need(self, topic: Topic, mask: int) -> None:
         """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
@@ -478,7 +497,7 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
     try:
         node = make_node()
         spin_until_done([node], interrupt)
-        node.take_leave()
+        node.take_leave(interrupt)
         return 1 if node.outcome else 0
     except (UserError, LockstepError) as error:
         rclpy.logging.get_logger('waferbot').error(str(error))

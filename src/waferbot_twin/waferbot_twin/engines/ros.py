@@ -38,6 +38,7 @@ from waferbot_lockstep.contract import (
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import (
+    FAREWELL_S,
     SIGN_OF_LIFE_PERIOD_S,
     LockstepNode,
     make_executor,
@@ -152,6 +153,11 @@ class _Conductor:
             begun_s = time.perf_counter()
             self._spin_until(self._everything_recorded, None, 'run')
             loop_s = time.perf_counter() - begun_s
+            ended_by_s = time.monotonic() + 2 * FAREWELL_S
+            self._spin_until(
+                lambda: not self._members.alive() or time.monotonic() > ended_by_s, None, 'run'
+            )
+            self._members.dismiss()
             self._spin_until(lambda: not self._members.alive(), None, 'run')
             return loop_s
         finally:
@@ -230,6 +236,9 @@ class Members:
         """Tell whether any node is still running."""
         raise NotImplementedError
 
+    def dismiss(self) -> None:
+        """Let nodes go that still stay in case that somebody has missed a message."""
+
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
         raise NotImplementedError
@@ -280,6 +289,12 @@ class SeparateProcesses(Members):
         """Tell whether any node is still running."""
         return any(process.poll() is None for process in self._processes.values())
 
+    def dismiss(self) -> None:
+        """Let nodes go that still stay in case that somebody has missed a message."""
+        for process in self._processes.values():
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
         for name, process in self._processes.items():
@@ -300,9 +315,7 @@ class SeparateProcesses(Members):
 
     def end(self) -> None:
         """End whatever still runs, and clean up."""
-        for process in self._processes.values():
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
+        self.dismiss()
         deadline_s = time.monotonic() + END_TIMEOUT_S
         for process in self._processes.values():
             try:
