@@ -65,7 +65,8 @@ class World:
     def fit(self, problem, causes):
         if problem == 'all':
             self.fitted.append(causes[0].name)
-        return hypothesis(causes, self.in_all[causes[0].name])
+        likely = self.in_all[causes[0].name]
+        return hypothesis(causes, likely(causes[0]) if callable(likely) else likely)
 
     def judge(self, causes):
         return hypothesis(causes, self.in_judging[causes[0].name] if causes else 0.0)
@@ -79,9 +80,10 @@ class World:
 
         return [weighed(item) for item in found.rivals[own.name]]
 
-    def search(self, own, *rivals, since=()):
+    def search(self, own, *rivals, since=(), trials=None):
         found = Search(hypothesis([own, *since], 0.0), self.judge([own]), None, None)
         found.gains, found.rivals = {own.name: 100.0}, {own.name: list(rivals)}
+        found.trials = trials or {}
         logs = SimpleNamespace(nominal=None, records=())
         return rivalry.weighed_in_all_logs(logs, logs, found, lambda *what: None)
 
@@ -103,6 +105,21 @@ def test_a_rival_that_only_had_a_bad_value_is_one_again(monkeypatch, causes):
     (weighed,) = found.rivals[own.name]
     assert weighed.less_likely == pytest.approx(3.0)
     assert weighed.behind == pytest.approx(3.0 + (rival.free - own.free) * PRICE)
+
+
+def test_a_rival_is_weighed_in_every_way_in_which_it_did_as_well(monkeypatch, causes):
+    own, rival, _ = causes
+    (name,) = rival.values
+    other = rival.with_values({name: 2.0 * rival.values[name]})
+    world = World(
+        monkeypatch,
+        {own.name: 900.0, rival.name: lambda cause: 897.0 if cause == other else 700.0},
+        {own.name: 500.0},
+    )
+    found = world.search(own, Rival(rival, 9.0, 9.0, 4.0), trials={rival.name: [other]})
+    (weighed,) = found.rivals[own.name]
+    assert weighed.cause == other
+    assert weighed.less_likely == pytest.approx(3.0)
 
 
 def test_what_is_far_worse_where_it_was_fitted_is_not_fitted_again(monkeypatch, causes):

@@ -108,18 +108,26 @@ def _weighed(
     others = [item for item in found.rivals[own.name] if item not in close]
     scores = [Score(present.information_criterion, present.log_likelihood, present.parameters)]
     rivals = []
+    tried = [(rival, cause) for rival in close for cause in _trials_of(rival, found)]
     pool = Parallel(n_jobs=workers, batch_size=1)
     each = pool(
-        delayed(_fitted)(every, (*causes[:place], rival.cause, *causes[place + 1 :]))
-        for rival in close
+        delayed(_fitted)(every, (*causes[:place], cause, *causes[place + 1 :]))
+        for _, cause in tried
     )
-    for rival, fitted in zip(close, each, strict=True):
-        if fitted is None:
+    for rival in close:
+        fits = [
+            (fitted, cause)
+            for (whose, cause), fitted in zip(tried, each, strict=True)
+            if whose is rival and fitted is not None
+        ]
+        if not fits:
             others.append(rival)
             continue
+        fitted, cause = min(fits, key=lambda item: item[0].information_criterion)
         rivals.append(
             replace(
                 rival,
+                cause=cause,
                 behind=fitted.information_criterion - present.information_criterion,
                 less_likely=2.0 * (present.log_likelihood - fitted.log_likelihood),
             )
@@ -175,6 +183,11 @@ def _given_way(
     if lost > max(TELLS_APART, LOST * gained):
         return replace(found, outdone=True)
     return instead
+
+
+def _trials_of(rival: Rival, found: Search) -> list[Cause]:
+    """Return a rival in every way in which it does as well in the logs for finding: all may decide."""
+    return [rival.cause, *found.trials.get(rival.cause.name, [])]
 
 
 def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
