@@ -5,9 +5,9 @@ Rivals of a cause: what could stand in its place, and how well it would explain 
 Logs for finding may tell little of a parameter (the speed at which a friction falls, where an axis
 hardly moves slowly); its value from there then suits the logs for judging badly, and the rival seems far
 less likely than it is. So what does about as well in the logs for finding is fitted once more, to all
-logs together, and so is what was found. That decides the name, by Schwarz' criterion and then by the
-evidence (`alike`), and what cannot be told from it; values and gain stay those of the division into logs
-for finding and for judging.
+logs together, from every trial that does (a ripple of one order or another), and so is what was found.
+That decides the name, by Schwarz' criterion and then by the evidence (`alike`), and what cannot be told
+from it; values and gain stay those of the division into logs for finding and for judging.
 """
 
 from __future__ import annotations
