@@ -12,6 +12,8 @@ from it; values and gain stay those of the division into logs for finding and fo
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
 from dataclasses import replace
 
 from joblib import Parallel, delayed
@@ -108,22 +110,15 @@ def _weighed(
     others = [item for item in found.rivals[own.name] if item not in close]
     scores = [Score(present.information_criterion, present.log_likelihood, present.parameters)]
     rivals = []
-    tried = [(rival, cause) for rival in close for cause in _trials_of(rival, found)]
     pool = Parallel(n_jobs=workers, batch_size=1)
     each = pool(
-        delayed(_fitted)(every, (*causes[:place], cause, *causes[place + 1 :]))
-        for _, cause in tried
+        delayed(_best_fitted)(every, causes, place, _trials_of(rival, found)) for rival in close
     )
-    for rival in close:
-        fits = [
-            (fitted, cause)
-            for (whose, cause), fitted in zip(tried, each, strict=True)
-            if whose is rival and fitted is not None
-        ]
-        if not fits:
+    for rival, best_fitted in zip(close, each, strict=True):
+        if best_fitted is None:
             others.append(rival)
             continue
-        fitted, cause = min(fits, key=lambda item: item[0].information_criterion)
+        fitted, cause = best_fitted
         rivals.append(
             replace(
                 rival,
@@ -190,12 +185,21 @@ def _trials_of(rival: Rival, found: Search) -> list[Cause]:
     return [rival.cause, *found.trials.get(rival.cause.name, [])]
 
 
-def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
-    """Return causes fitted to logs; None if the machine blows up with them."""
-    try:
-        return fit_causes(problem, causes)
-    except UserError:
-        return None
+def _best_fitted(
+    problem: Problem, causes: Sequence[Cause], place: int, trials: Sequence[Cause]
+) -> tuple[Hypothesis, Cause] | None:
+    """
+    Return the best fit to logs with one of `trials` in the place of a cause, and that trial.
+
+    None if the machine blows up with each.
+    """
+    fits = []
+    for trial in trials:
+        with contextlib.suppress(UserError):
+            fits.append(
+                (fit_causes(problem, (*causes[:place], trial, *causes[place + 1 :])), trial)
+            )
+    return min(fits, key=lambda item: item[0].information_criterion, default=None)
 
 
 def exchanged(problem: Problem, judge: Problem, found: Search, place: int, rival: Rival) -> Search:
