@@ -9,26 +9,23 @@ import math
 import numpy as np
 import pytest
 
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.marked_yaml import read
+from waferbot_plant import motors, plant
 from waferbot_plant.modes import first_frequencies
 from waferbot_plant.plant import config_folder, load_machine
-from waferbot_twin import calibration
-from waferbot_twin.calibration import (
-    AXES,
-    STAGES,
-    Evaluation,
-    Residual,
-    Stage,
-    Unknown,
+from waferbot_twin.calibration.as_built import (
+    RING_RADIUS_M,
     as_built_bias,
     as_built_machine,
-    calibrated,
-    candidate,
-    describe,
-    machine_overlay,
-    search,
-    servo_record,
     with_ring,
 )
+from waferbot_twin.calibration.evaluation import Evaluation, Residual, servo_record
+from waferbot_twin.calibration.machines import describe
+from waferbot_twin.calibration.nominal import candidate
+from waferbot_twin.calibration.part_data import machine_overlay
+from waferbot_twin.calibration.search import STAGES, Stage, search
+from waferbot_twin.calibration.values import Unknown, calibrated
 from waferbot_twin.cli.main import main
 from waferbot_twin.models import load_model
 from waferbot_twin.thesis import thesis
@@ -66,7 +63,7 @@ def numbers(value) -> list[float]:
 
 def test_shipped_description_is_what_calibration_makes() -> None:
     """machine.yaml holds every value of the overlay, to the digits that it prints."""
-    data = calibration.read(config_folder() / 'machine.yaml').data
+    data = read(config_folder() / 'machine.yaml').data
     for key, wanted in leaves(machine_overlay(calibrated())):
         found = data
         for name in key:
@@ -117,10 +114,10 @@ def test_gains_make_the_natural_frequency_and_damping_that_they_are_named_for() 
     parameters = built.rigid.parameters()
     state = built.rigid.initial_state(parameters)
     mass = np.zeros((3, 3))
-    calibration.plant.mass_matrix(state, parameters, mass)
+    plant.mass_matrix(state, parameters, mass)
     for place, axis in enumerate(AXES):
         motor = built.rigid.description.motors[axis]
-        force = calibration.motors.force_constant(motor)
+        force = motors.force_constant(motor)
         force *= abs(built.rigid.assembly.placing[motor.coordinate][1])
         amperes_per_count = (
             servo['Ixx30'][place]
@@ -173,7 +170,6 @@ def test_ring_of_the_as_built_load() -> None:
     mass, centre = made['mass_kg']['value'], np.array(made['centre_of_gravity_m']['value'])
     moments = np.array([made['inertia_kg_m2']['value'][name] for name in ('xx', 'yy', 'zz')])
     ring_centre = load.centre_of_gravity * [1.0, 1.0, 0.0]  # on the axis of X-Rotate
-    radius = calibration.RING_RADIUS_M
 
     def about_origin(mass, centre, moments):
         return moments + mass * (centre @ centre - centre**2)
@@ -182,7 +178,7 @@ def test_ring_of_the_as_built_load() -> None:
     assert mass * centre == pytest.approx(load.mass * load.centre_of_gravity + 3.0 * ring_centre)
     assert about_origin(mass, centre, moments) == pytest.approx(
         about_origin(load.mass, load.centre_of_gravity, np.diag(load.inertia))
-        + about_origin(3.0, ring_centre, 3.0 * radius**2 * np.array([1.0, 0.5, 0.5]))
+        + about_origin(3.0, ring_centre, 3.0 * RING_RADIUS_M**2 * np.array([1.0, 0.5, 0.5]))
     )
 
 

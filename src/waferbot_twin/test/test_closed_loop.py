@@ -8,7 +8,8 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.plant import load_machine
-from waferbot_twin.calibration import calibrated, servo_record
+from waferbot_twin.calibration.evaluation import servo_record
+from waferbot_twin.calibration.values import calibrated
 from waferbot_twin.closed_loop import fastest_growth, loop_modes
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.tables import step_plan

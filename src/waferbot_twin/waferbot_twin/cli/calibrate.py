@@ -55,8 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Search, print and write."""
-    from waferbot_twin.calibration import STAGES as KNOWN
-    from waferbot_twin.calibration import calibrated, search
+    from waferbot_twin.calibration.search import STAGES as KNOWN
+    from waferbot_twin.calibration.search import search
+    from waferbot_twin.calibration.values import calibrated
 
     if options.out and options.out.exists() and not options.force:
         raise UserError(f'{options.out} exists; choose another folder or give --force')
@@ -116,8 +117,10 @@ def _print(name: str, result: dict[str, Any]) -> None:
 
 
 def _write(folder: Path, values: dict[str, float], as_built: dict[str, float]) -> None:
-    from waferbot_twin.calibration import STAGES as KNOWN
-    from waferbot_twin.calibration import as_built_overlay, candidate, machine_overlay
+    from waferbot_twin.calibration.as_built import as_built_overlay
+    from waferbot_twin.calibration.nominal import candidate
+    from waferbot_twin.calibration.part_data import machine_overlay
+    from waferbot_twin.calibration.search import STAGES as KNOWN
 
     stages = {
         name: {
