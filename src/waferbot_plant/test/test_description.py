@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant.description import load_description
+from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import config_folder, load_machine
 
 

@@ -9,7 +9,7 @@ import plant_machines as machines
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant.description import load_description
+from waferbot_plant.description_file import load_description
 
 
 def sound() -> dict:

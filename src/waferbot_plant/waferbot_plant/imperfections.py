@@ -21,7 +21,7 @@ from waferbot_lockstep.marked_yaml import Key
 from waferbot_plant import disturbances
 
 if TYPE_CHECKING:
-    from waferbot_plant.description import _Reader
+    from waferbot_plant.description_reader import Reader
 
 Vector = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ _AT = {
 }
 
 
-def read_disturbances(reader: _Reader) -> dict[str, Disturbance]:
+def read_disturbances(reader: Reader) -> dict[str, Disturbance]:
     """Read the section `disturbances`."""
     section = reader.section('disturbances')
     if len(section) > disturbances.SLOTS:
@@ -98,7 +98,7 @@ def read_disturbances(reader: _Reader) -> dict[str, Disturbance]:
     return {name: _disturbance(reader, name) for name in section}
 
 
-def _disturbance(reader: _Reader, name: str) -> Disturbance:
+def _disturbance(reader: Reader, name: str) -> Disturbance:
     """Read one force."""
     key: Key = ('disturbances', name)
     value = reader.data['disturbances'][name]
@@ -157,7 +157,7 @@ def _disturbance(reader: _Reader, name: str) -> Disturbance:
     )
 
 
-def read_vibration(reader: _Reader) -> Vibration:
+def read_vibration(reader: Reader) -> Vibration:
     """Read the section `vibration`; a floor at rest if there is none."""
     value = reader.section('vibration')
     if not value:
@@ -170,7 +170,7 @@ def read_vibration(reader: _Reader) -> Vibration:
 
 
 def read_transmission_error(
-    reader: _Reader, key: Key, value: dict[str, Any]
+    reader: Reader, key: Key, value: dict[str, Any]
 ) -> TransmissionError | None:
     """Read the error of a transmission; only a spring in it can take it up."""
     if 'transmission_error' not in value:
@@ -207,7 +207,7 @@ _LAW_KEYS = {
 
 
 def read_spring_law(
-    reader: _Reader, key: Key, rotary: bool, stage_kind: str | None
+    reader: Reader, key: Key, rotary: bool, stage_kind: str | None
 ) -> dict[str, Any]:
     """Return what a connection says beyond its stiffness, by the names of `Connection`."""
     value = reader.data['connections'][key[1]]
@@ -230,7 +230,7 @@ def read_spring_law(
     return law
 
 
-def read_friction_law(reader: _Reader, key: Key, revolute: bool) -> dict[str, float]:
+def read_friction_law(reader: Reader, key: Key, revolute: bool) -> dict[str, float]:
     """Return the parameters of `friction_laws` that a friction gives, by name, in SI units."""
     value = reader.data['frictions'][key[1]]
     law = {
@@ -267,7 +267,7 @@ def read_friction_law(reader: _Reader, key: Key, revolute: bool) -> dict[str, fl
 
 
 def optional(
-    reader: _Reader, key: Key, revolute: bool, linear: str, rotary: str, default: float = 0.0
+    reader: Reader, key: Key, revolute: bool, linear: str, rotary: str, default: float = 0.0
 ) -> float:
     """Return a quantity that may be left out, under the key that has the coordinate's unit."""
     value: Any = reader.data
@@ -278,12 +278,12 @@ def optional(
     return default
 
 
-def wave_number(reader: _Reader, key: Key, revolute: bool, order: float) -> float:
+def wave_number(reader: Reader, key: Key, revolute: bool, order: float) -> float:
     """Return 2 pi order / period, rad per m or rad."""
     return 2.0 * math.pi * order / reader.quantity(key, revolute, 'period_m', 'period_rad')
 
 
-def _check_rising(reader: _Reader, key: Key, values: Sequence[float]) -> None:
+def _check_rising(reader: Reader, key: Key, values: Sequence[float]) -> None:
     """Refuse abscissas that do not rise."""
     if any(a >= b for a, b in pairwise(values)):
         raise reader.document.error(key, f'must rise from point to point; it is {values}')

@@ -42,7 +42,8 @@ from waferbot_plant import (
     spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
-from waferbot_plant.description import Description, load_description
+from waferbot_plant.description import Description
+from waferbot_plant.description_file import load_description
 
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""

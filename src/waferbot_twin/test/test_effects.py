@@ -26,7 +26,7 @@ from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import home_mass_matrix_and_weight
-from waferbot_plant.description import whole_text
+from waferbot_plant.description_file import whole_text
 from waferbot_plant.plant import find_description
 from waferbot_pmac.experiments import load_experiment
 from waferbot_pmac.i_variables import servo_parameters

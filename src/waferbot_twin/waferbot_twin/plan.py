@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.description import whole_text
+from waferbot_plant.description_file import whole_text
 from waferbot_plant.plant import description_source
 from waferbot_pmac.experiments import Experiment, load_experiment
 from waferbot_twin.models import Model, load_model

@@ -14,7 +14,8 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.marked_yaml import Document, merge
 from waferbot_plant import statics
-from waferbot_plant.description import Body, Description, check
+from waferbot_plant.description import Body, Description
+from waferbot_plant.description_file import check
 from waferbot_plant.plant import Machine
 from waferbot_twin.calibration.evaluation import (
     STEP_S,

@@ -13,7 +13,8 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, merge, read
-from waferbot_plant.description import Description, check
+from waferbot_plant.description import Description
+from waferbot_plant.description_file import check
 from waferbot_plant.modes import first_frequencies, pick_simplified
 from waferbot_plant.plant import config_folder
 from waferbot_twin.thesis import thesis

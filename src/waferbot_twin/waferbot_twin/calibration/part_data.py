@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from waferbot_lockstep.marked_yaml import Document, merge
-from waferbot_plant.description import Description, check
+from waferbot_plant.description import Description
+from waferbot_plant.description_file import check
 from waferbot_plant.modes import first_frequencies
 from waferbot_twin.calibration.machines import machine_file, payload_overlay, rounded
 from waferbot_twin.thesis import thesis

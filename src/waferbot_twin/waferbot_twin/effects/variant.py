@@ -25,7 +25,8 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, merged, parse
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Assembly, assemble
-from waferbot_plant.description import Description, check, whole_text
+from waferbot_plant.description import Description
+from waferbot_plant.description_file import check, whole_text
 from waferbot_plant.plant import Machine, description_source
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.models import Model

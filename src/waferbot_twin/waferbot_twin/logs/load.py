@@ -10,7 +10,7 @@ from pathlib import Path
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_plant.description import load_description
+from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_source
 from waferbot_twin.logs.archive import is_archive, read_archive
 from waferbot_twin.logs.arrays import read_npy, read_variables

@@ -18,7 +18,8 @@ from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.description import Description, load_description
+from waferbot_plant.description import Description
+from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_source
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.models import Model
