@@ -69,6 +69,30 @@ def test_no_skew_is_not_significant(random) -> None:
     assert not any(one is None or one.significant for one in found)
 
 
+@pytest.mark.parametrize('late_steps', [0.0, 1.5])
+def test_a_motor_that_cogs_seems_not_late(random, late_steps) -> None:
+    """Strong cogging on a slide, six periods of it: as large a force as all acceleration."""
+    step_s, cycle = 2e-3, 0.2
+    for _ in range(10):
+        motion = Motion(random)
+        time_s = np.arange(0.0, 3.0, step_s)
+        position = motion.derivative(0, time_s)
+
+        def force(at_s, motion=motion):
+            inertia = J * motion.derivative(2, at_s) + C * np.sign(motion.derivative(1, at_s))
+            angle = 2.0 * np.pi / cycle * motion.derivative(0, at_s)
+            return inertia + 0.5 * np.sin(angle) + 0.3 * np.cos(3.0 * angle)
+
+        found = skew(
+            Signal('position', 'y_linear', 'm', time_s, 1e-5 * np.round(position / 1e-5)),
+            Signal('current', 'y_linear', 'A', time_s, force(time_s - late_steps * step_s)),
+            cycle,
+        )
+        assert found is not None
+        assert found.late_s == pytest.approx(late_steps * step_s, abs=0.3 * step_s)
+        assert found.significant == (late_steps > 0.0)
+
+
 def test_commands_that_are_held_need_no_correction(random) -> None:
     """A torque that is held for 4 ms, and logged when it was set, is not late."""
     time_s = np.arange(0.0, 8.0, 4e-4)

@@ -180,7 +180,8 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
     for axis in driven_axes(log, variant):
         position, drive = log[axis, 'position'], drive_of(log, axis)
         assert drive is not None
-        found = skew(position, drive)
+        cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
+        found = skew(position, drive, cycle)
         pair = f'{log.name}: {drive.name} against its position'
         if found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')

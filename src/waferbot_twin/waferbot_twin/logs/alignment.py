@@ -4,18 +4,21 @@ Times of the channels of a log against one another: a skew between drive and pos
 
 **Skew.** Whatever an axis is, its motion follows
 
-    M q'' = k u - b q' - c sign(q') - g_1 sin q - g_2 cos q - g_0,
+    M q'' = k u - b q' - c sign(q') - g_1 sin q - g_2 cos q - g_0 - cogging(q),
 
-with position q and drive u, and that must hold at the same instant. If the drive stands in the log later
-than the position by T, it holds for u(t + T), and T can be found without knowing M, k, b, c or g. Noisy
-positions need not be differentiated for that: multiplied by a function p that vanishes with its first
-derivative at both ends of a window, and integrated by parts, the equation becomes
+with position q and drive u, and that must hold at the same instant. (Cogging: sines and cosines once,
+twice, three and six times per electrical cycle of the motor, where that is known.) If the drive stands
+in the log later than the position by T, it holds for u(t + T), and T can be found without knowing M, k,
+b, c or g. Noisy positions need not be differentiated for that: multiplied by a function p that vanishes
+with its first derivative at both ends of a window, and integrated by parts, the equation becomes
 
     int q p'' = (k / M) int u p - (b / M) int (-q p') - (c / M) int sign(q') p - ...
 
 one equation for each window, linear in all but T: linear least squares in the others, a search in T
 alone. Since p is known at any time, T may be any fraction of a sample, and samples may be uneven. Here
-p = 64 (x (1 - x))^3 over a window of 16 to 256 samples, that which gives T best.
+p = 64 (x (1 - x))^3 over a window of 16 to 256 samples, that which gives T best. What the equation
+lacks draws T in windows of one length otherwise than in those of another: so windows half or twice as
+long must show T, too, and by how much theirs differ is an error of it.
 
 Limits: an axis whose drive hardly changes shows no skew; a controller that answers to noise of the
 position within its own delay draws T towards that delay, less in long windows; what the equation lacks
@@ -31,6 +34,7 @@ functions; standard errors from sums over blocks of windows, since neighbours ov
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,7 +62,10 @@ LONGEST_STEPS = 6.0
 """Skew that is looked for on either side, in steps of the slower signal."""
 
 LEAST_ERROR_STEPS = 0.05
-"""Standard error of a skew at least, in steps: when friction turns is known to a sample only."""
+"""Standard error of a skew at least, in steps."""
+
+COGGING = (1, 2, 3, 6)
+"""How often per electrical cycle a motor may cog; those count of which half a period is passed."""
 
 SIGNIFICANT = 4.0
 """Standard errors that a skew must be from zero to be believed."""
@@ -80,12 +87,16 @@ class Skew:
         return abs(self.late_s) > SIGNIFICANT * self.standard_error_s
 
 
-def skew(position: Signal, drive: Signal) -> Skew | None:
-    """Return the skew of a drive against a position, None if too little moves to tell."""
+def skew(position: Signal, drive: Signal, cycle: float = math.inf) -> Skew | None:
+    """
+    Return the skew of a drive against a position, None if too little moves to tell.
+
+    `cycle` is how far the axis goes, m or rad, in an electrical cycle of its motor.
+    """
     step_s = max(median_step_s(signal.time_s) for signal in (position, drive))
     begin_s = max(position.time_s[0], drive.time_s[0]) + LONGEST_STEPS * step_s
     end_s = min(position.time_s[-1], drive.time_s[-1]) - LONGEST_STEPS * step_s
-    found = []
+    found: list[Skew | None] = []
     for samples in SAMPLES:
         length_s = samples * step_s
         count = min(MOST_WINDOWS, int(2.0 * (end_s - begin_s) / length_s) - 1)
@@ -96,20 +107,72 @@ def skew(position: Signal, drive: Signal) -> Skew | None:
             drive, starts - LONGEST_STEPS * step_s, length_s + 2.0 * LONGEST_STEPS * step_s
         )
         if clear.sum() >= LEAST_WINDOWS:
-            one = _skew_in(position, drive, starts[clear], length_s, LONGEST_STEPS * step_s)
-            found += [one] if one is not None else []
-    best = min(found, key=lambda one: one.standard_error_s, default=None)
+            found.append(
+                _skew_in(position, drive, starts[clear], length_s, LONGEST_STEPS * step_s, cycle)
+            )
+    return _confirmed(found, LEAST_ERROR_STEPS * step_s)
+
+
+def _confirmed(found: Sequence[Skew | None], least_error_s: float) -> Skew | None:
+    """
+    Return the best of the skews in windows of rising lengths, if those of the next length show it, too.
+
+    None if they do not. Where a log is so short that it has windows of one length only, that one counts.
+    """
+    known = [(one.standard_error_s, place) for place, one in enumerate(found) if one is not None]
+    _, place = min(known, default=(0.0, 0))
+    best = found[place] if known else None
     if best is None:
         return None
-    error_s = math.hypot(best.standard_error_s, LEAST_ERROR_STEPS * step_s)
+    nearby = [found[other] for other in (place - 1, place + 1) if 0 <= other < len(found)]
+    apart_s = [
+        max(abs(one.late_s - best.late_s) - one.standard_error_s, 0.0)
+        for one in nearby
+        if one is not None
+    ]
+    if nearby and not apart_s:
+        return None
+    error_s = math.hypot(best.standard_error_s, min(apart_s, default=0.0), least_error_s)
     return Skew(best.late_s, error_s)
 
 
 def _skew_in(
-    position: Signal, drive: Signal, starts: Array, length_s: float, longest_s: float
+    position: Signal,
+    drive: Signal,
+    starts: Array,
+    length_s: float,
+    longest_s: float,
+    cycle: float,
 ) -> Skew | None:
-    """Return the skew as windows of one length that begin at `starts` show it."""
-    right, others = _of_position(position, starts, length_s)
+    """
+    Return the skew as windows of one length that begin at `starts` show it.
+
+    When friction turns is known to a sample only: what a sample earlier or later makes of the skew is an
+    error of it.
+    """
+    shown = [
+        _skew_beside(
+            *_of_position(position, starts, length_s, cycle, turns),
+            drive,
+            starts,
+            length_s,
+            longest_s,
+        )
+        for turns in (0, -1, 1)
+    ]
+    best, *others = shown
+    if best is None:
+        return None
+    apart_s = max(
+        (abs(one.late_s - best.late_s) for one in others if one is not None), default=0.0
+    )
+    return Skew(best.late_s, math.hypot(best.standard_error_s, apart_s))
+
+
+def _skew_beside(
+    right: Array, others: Array, drive: Signal, starts: Array, length_s: float, longest_s: float
+) -> Skew | None:
+    """Return the skew that explains int q p'' best, beside the integrals that it does not touch."""
     basis, _ = np.linalg.qr(others)
 
     def beside_others(column: Array) -> Array:
@@ -146,8 +209,14 @@ def _skew_in(
     return Skew(late_s, float(error))
 
 
-def _of_position(position: Signal, starts: Array, length_s: float) -> tuple[Array, Array]:
-    """Return int q p'' (windows,) and the integrals that the skew does not touch (windows, terms)."""
+def _of_position(
+    position: Signal, starts: Array, length_s: float, cycle: float, turns: int
+) -> tuple[Array, Array]:
+    """
+    Return int q p'' (windows,) and the integrals that the skew does not touch (windows, terms).
+
+    Friction turns as many samples earlier as `turns`.
+    """
     row, place, weight = _samples(position.time_s, starts, length_s)
     value = position.value[row]
     from_mean = weight * (value - np.mean(value, axis=1, keepdims=True))
@@ -157,9 +226,14 @@ def _of_position(position: Signal, starts: Array, length_s: float) -> tuple[Arra
     speed = np.gradient(position.value, position.time_s)
     reach = max(1, int(row.shape[1] / 4))
     smooth = np.convolve(speed, np.ones(reach) / reach, mode='same')
-    terms = [damping, np.sum(window * np.sign(smooth)[row], axis=1), window.sum(axis=1)]
+    turned = smooth[np.clip(np.arange(len(smooth)) + turns, 0, len(smooth) - 1)]
+    terms = [damping, np.sum(window * np.sign(turned)[row], axis=1), window.sum(axis=1)]
     if position.unit == 'rad':
         terms += [np.sum(window * np.sin(value), axis=1), np.sum(window * np.cos(value), axis=1)]
+    for order in COGGING:
+        if 2.0 * order * np.ptp(position.value) > cycle:
+            angle = 2.0 * np.pi * order / cycle * value
+            terms += [np.sum(window * wave(angle), axis=1) for wave in (np.sin, np.cos)]
     return right, np.column_stack(terms)
 
 
