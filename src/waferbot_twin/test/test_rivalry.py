@@ -122,6 +122,26 @@ def test_a_rival_is_weighed_in_every_way_in_which_it_did_as_well(monkeypatch, ca
     assert weighed.less_likely == pytest.approx(3.0)
 
 
+@pytest.mark.parametrize('likelier', [True, False])
+def test_a_fit_begins_with_the_others_as_they_were_beside_the_rival_if_that_is_likelier(
+    monkeypatch, causes, likelier
+):
+    own, rival, other = causes
+    then = other.with_values({name: 2.0 * value for name, value in other.values.items()})
+    world = World(monkeypatch, {own.name: 900.0, rival.name: 899.0}, {own.name: 500.0})
+    begun = []
+    monkeypatch.setattr(
+        rivalry, 'fit_causes', lambda logs, some: begun.append(some) or world.fit(logs, some)
+    )
+    monkeypatch.setattr(
+        rivalry,
+        'evaluate',
+        lambda logs, some: hypothesis(some, 10.0 if (then in some) == likelier else 5.0),
+    )
+    world.search(own, Rival(rival, 9.0, 9.0, 4.0, beside=(then,)), since=[other])
+    assert begun == [(own, other), (rival, then if likelier else other)]
+
+
 def test_what_is_far_worse_where_it_was_fitted_is_not_fitted_again(monkeypatch, causes):
     own, rival, hopeless = causes
     world = World(

@@ -147,7 +147,10 @@ def diagnose(
         finding, judging = _divide(finding)
         notes.append('one log only: its last part judged what was found in the rest')
     if any(record.commanded is None for record in (*finding, *judging)):
-        notes.append('no commanded position: the controller could not be looked at')
+        notes.append(
+            'the controller was not looked at: that takes a recording with servo_state and '
+            'current_command, and a model that has a controller'
+        )
     notes += list(dict.fromkeys(n for record in (*finding, *judging) for n in record.notes))
     nominal = sized_by(finding, nominal)
     roomy = host(nominal)

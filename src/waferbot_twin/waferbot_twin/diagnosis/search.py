@@ -262,9 +262,14 @@ def _choose_again(judging: Problem, state: Search, cause: Cause, rounds: Rounds)
         as_it_is = Fitted(present, evaluate(judging, present.causes), confirmed=True)
     except UserError:  # the machine does not stand without it
         return
-    screened = [item for item in rounds.screen(found) if item.cause.name != cause.name]
+    screened = rounds.screen(found)
     gained = 2.0 * (present.log_likelihood - found.log_likelihood)
-    fitted = fit_best(finding, judging, fewer, screened, progress, workers, gained)
+    # Far from zero it may gain many times what it promises, and so may a rival.
+    promised = max(
+        (item.score for item in screened if item.cause.name == cause.name), default=gained
+    )
+    rivals = [item for item in screened if item.cause.name != cause.name]
+    fitted = fit_best(finding, judging, fewer, rivals, progress, workers, min(gained, promised))
     _note_trials(fewer, fitted)
     _take_best(finding, judging, fewer, [as_it_is, *fitted])
     state.found, state.judged = fewer.found, fewer.judged
@@ -302,11 +307,13 @@ def _rivals(taken: Fitted, fitted: Sequence[Fitted]) -> list[Rival]:
     """Return what else was fitted in place of the cause that was taken, the best trial of each."""
     rivals: dict[str, Rival] = {}
     for item in sorted(fitted, key=lambda item: item.information_criterion):
+        *others, last = item.found.causes
         rival = Rival(
-            item.found.causes[-1],
+            last,
             item.information_criterion - taken.information_criterion,
             2.0 * (taken.log_likelihood - item.log_likelihood),
             2.0 * (taken.found.log_likelihood - item.found.log_likelihood),
+            tuple(others),
         )
         # Else it was refuted, however likely it is.
         if item.confirmed or item.possible or rival.behind >= 0.0:

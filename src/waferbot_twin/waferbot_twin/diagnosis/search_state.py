@@ -26,13 +26,15 @@ class Rival:
 
     By how much it is `behind` in Schwarz' criterion, and by how much `less_likely`, 2 ln L, all logs
     together. One with more parameters may be far behind, and the logs cannot tell it all the same.
-    `in_finding` is by how much it is less likely in the logs that it was fitted to.
+    `in_finding` is by how much it is less likely in the logs that it was fitted to; `beside` are the
+    other causes, as they were fitted with it.
     """
 
     cause: Cause
     behind: float
     less_likely: float
     in_finding: float = 0.0
+    beside: tuple[Cause, ...] = ()
 
 
 @dataclass(frozen=True)

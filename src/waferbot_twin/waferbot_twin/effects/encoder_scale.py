@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The encoder shows more or fewer counts per unit than the model has: x_shown = (1 + error) x."""
+"""
+The encoder shows more or fewer counts per unit than the model has: x_shown = (1 + error) x.
+
+A tenth at most. Further off it is no error of an encoder but another encoder, or another unit in the
+description; and with half the travel and half the force constant a machine does nearly the same, so that
+such a scale stands in for whatever lacks.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-    return (Parameter('error', '', 0.0, 2e-3, -0.5, 0.5, 'relative'),)
+    return (Parameter('error', '', 0.0, 2e-3, -0.1, 0.1, 'relative'),)
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
