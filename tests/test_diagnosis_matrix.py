@@ -324,6 +324,41 @@ def test_a_parameter_that_is_neutral_in_truth_has_no_relative_error():
     assert scoring.parameter_errors(found, {'sine': 0.0}, [item], 1.0) == []
 
 
+def test_what_a_twin_explains_is_diagnosed_again_without_it():
+    truth = 'direction_dependent_friction:y_rotate'
+    twin, also, other = 'coulomb_friction:y_rotate', 'stribeck_friction:y_rotate', 'wafer:y_rotate'
+    asked = []
+
+    def judged(without):
+        asked.append(tuple(without))
+        reports = [
+            report(cause(twin, [also])),
+            report(cause(other)),
+            report(unexplained=['y_rotate']),
+        ]
+        found = reports[len(asked) - 1]
+        return {
+            'outcome': scoring.outcome_of_unknown(found, truth, True),
+            'reported': [
+                {'name': scoring.name_of(c), 'group': c['cannot_tell_from']}
+                for c in found['causes']
+            ],
+            'unexplained': found['unexplained'],
+        }
+
+    own = ['direction_dependent_friction']
+    found = trial._without_twins(judged(own), own, judged)
+    frictions = ('coulomb_friction', 'stribeck_friction')
+    assert asked == [tuple(own), (*own, *frictions), (*own, *frictions, 'wafer')]
+    assert found['taken_out'] == [*frictions, 'wafer']
+    assert found['outcome'] == 'right'
+
+    asked.clear()
+    wrong = {'outcome': 'wrong', 'reported': [], 'unexplained': None}
+    assert trial._without_twins(wrong, own, judged) == {'taken_out': [], **wrong}
+    assert not asked
+
+
 # Counting
 
 
@@ -360,6 +395,18 @@ def test_what_is_not_right_says_where_the_true_model_itself_wins():
     ]
     (row,) = summary.summarise(lines)['confusions']
     assert (row['cases'], row['truth_wins']) == (2, 1)
+
+
+def test_a_twin_counts_by_what_becomes_of_it_when_it_is_unknown_too():
+    lines = [
+        line('unknown', 'twin', 10.0, without_twins={'outcome': 'right'}),
+        line('unknown', 'twin', 10.0, without_twins={'outcome': 'wrong'}),
+        line('unknown', 'right', 10.0),
+        line('unknown', 'right', 10.0, without_twins={'outcome': 'right'}),
+    ]
+    found = summary.summarise(lines)
+    assert found['groups']['unknown']['right']['hits'] == 2
+    assert found['unknown_without_twins']['hits'] == 3
 
 
 def test_wilson_interval():

@@ -16,6 +16,9 @@ from typing import Any
 from waferbot_twin.effects.effect import Parameter
 
 LARGEST_GROUP = 3
+TWIN = 'twin'
+"""Outcome of an unknown effect that another one explains, which the logs cannot tell from it."""
+
 SURE = 0.9
 """Confidence above which a report calls a cause very likely."""
 
@@ -96,7 +99,7 @@ def outcome_of_unknown(report: Report, truth: str, inseparable: bool) -> str:
     if axis in unexplained:
         return 'right'
     if report['causes']:
-        return 'twin' if inseparable else 'wrong'
+        return TWIN if inseparable else 'wrong'
     return 'other axis' if unexplained else 'missed'
 
 

@@ -138,7 +138,6 @@ def _run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
         judging = logs(variant, model, drawn.noise, drawn.judging, len(finding))
     except UserError as error:
         raise OutOfReach(str(error)) from error
-    without = [cause.effect.name for cause in hidden] if _kind(case) == UNKNOWN else []
     line: dict[str, Any] = {
         'noise': drawn.noise,
         'logs': len(finding) + len(judging),
@@ -150,12 +149,45 @@ def _run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
         line['gain_of_truth'] = [
             _gain_of_truth(hidden, model, records) for records in (finding, judging)
         ]
-    if through_files:
-        report, finding, judging = _through_files(case, drawn, hidden, model, without)
-    else:
-        diagnosis = diagnose(nominal(model), finding, judging, _silent, 1, without)
-        report = json.loads(as_json(as_dict(diagnosis)))
-    return line | _compared(case, hidden, report, model, finding, judging)
+
+    def judged(without: Sequence[str]) -> dict[str, Any]:
+        if through_files:
+            found = _through_files(case, drawn, hidden, model, without)
+        else:
+            diagnosis = diagnose(nominal(model), finding, judging, _silent, 1, without)
+            found = json.loads(as_json(as_dict(diagnosis))), finding, judging
+        return _compared(case, hidden, model, *found)
+
+    if _kind(case) != UNKNOWN:
+        return line | judged(())
+    own = [cause.effect.name for cause in hidden]
+    line |= judged(own)
+    return line | {'without_twins': _without_twins(line, own, judged)}
+
+
+def _without_twins(
+    line: dict[str, Any], own: Sequence[str], judged: Callable[[Sequence[str]], dict[str, Any]]
+) -> dict[str, Any]:
+    """
+    Return what becomes of an unknown effect if what does the same is unknown, too.
+
+    An effect is out of the library only with all that the logs cannot tell from it: where it never
+    turns back, a friction that differs with the direction is Coulomb's. So as long as simulation shows
+    a twin, what was reported, with its group, is taken out as well (`taken_out`) and the same logs are
+    diagnosed again.
+    """
+    taken_out = list(own)
+    while line['outcome'] == scoring.TWIN:
+        for cause in line['reported']:
+            for name in (cause['name'], *cause['group']):
+                effect = name.split(':')[0]
+                if effect not in taken_out:
+                    taken_out.append(effect)
+        line = judged(taken_out)
+    return {
+        'taken_out': taken_out[len(own) :],
+        **{key: line[key] for key in ('outcome', 'reported', 'unexplained')},
+    }
 
 
 def _gain_of_truth(hidden: Sequence[Cause], model: str, records: Sequence[Record]) -> float:
@@ -266,8 +298,8 @@ def _waferbot(*arguments: Any) -> None:
 def _compared(
     case: Case,
     hidden: Sequence[Cause],
-    report: dict[str, Any],
     model: str,
+    report: dict[str, Any],
     finding: Sequence[Record],
     judging: Sequence[Record],
 ) -> dict[str, Any]:
