@@ -114,6 +114,14 @@ def _tie(s, first, second, a, b):
 
 
 @compiled
+def find_idle(s):
+    """Note in `idle` what is held and stands still: it goes on standing, whatever acts on it."""
+    for row in range(len(s['idle'])):
+        stands = s['velocity'][row] == 0.0 and s['velocity_change'][row] == 0.0
+        s['idle'][row] = 1 if s['any_held'] and s['held_now'][row] and stands else 0
+
+
+@compiled
 def impose(s, matrix, right, moving):
     """
     Put what is held into A dz' = r, in place (lower triangle); `solve` it, then `follow`.
@@ -129,7 +137,7 @@ def impose(s, matrix, right, moving):
             offset = moving * (ratio * velocity[leader] - velocity[row])
             _fold(matrix, right, row, leader, ratio, offset)
     for row in range(len(right)):
-        if s['held_now'][row]:
+        if s['held_now'][row] and not s['idle'][row]:
             lock(matrix, right, row, -moving * velocity[row])
 
 

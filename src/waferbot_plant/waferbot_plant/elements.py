@@ -95,7 +95,7 @@ def add_springs(s, p, matrix, right, position, velocity, step):
     """Put all spring-dampers into A and r, but for those with a law (see `spring_laws`)."""
     any_law = s['any_spring_law']
     for spring in range(len(p['spring_first'])):
-        if any_law and s['spring_lawful'][spring]:
+        if (any_law and s['spring_lawful'][spring]) or _stands(s, p, spring):
             continue
         add_spring(
             matrix, right, p['spring_first'][spring], p['spring_second'][spring],
@@ -106,11 +106,17 @@ def add_springs(s, p, matrix, right, position, velocity, step):
 
 
 @compiled
+def _stands(s, p, spring):
+    """Return whether both ends of a spring are idle: it moves nothing and nothing moves it."""
+    return s['idle'][p['spring_first'][spring]] and s['idle'][p['spring_second'][spring]]
+
+
+@compiled
 def book_springs(s, p, mean_speed, step):
     """Add the step's loss d u^2 of every linear spring-damper to its ledger."""
     any_law = s['any_spring_law']
     for spring in range(len(p['spring_first'])):
-        if any_law and s['spring_lawful'][spring]:
+        if (any_law and s['spring_lawful'][spring]) or _stands(s, p, spring):
             continue
         speed = (
             p['spring_first_ratio'][spring] * mean_speed[p['spring_first'][spring]]

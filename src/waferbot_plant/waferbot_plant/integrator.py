@@ -31,7 +31,7 @@ and Applications, Springer 1988.
 from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.constraints import follow, give_to_leaders, impose, lock
+from waferbot_plant.constraints import find_idle, follow, give_to_leaders, impose, lock
 from waferbot_plant.disturbances import (
     add_disturbances,
     add_floor,
@@ -57,7 +57,7 @@ from waferbot_plant.friction_laws import (
     limit_lawful_friction,
 )
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
-from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
+from waferbot_plant.multibody import factorise, mass_matrix_and_bias_of_what_moves, solve
 from waferbot_plant.spring_laws import (
     ROUNDS,
     add_laws,
@@ -104,7 +104,8 @@ def advance_step(s, p, voltage, step):
         middle[row] = position[row] + 0.5 * step * velocity[row]
         mean[row] = velocity[row] + 0.5 * change[row]
 
-    mass_matrix_and_bias(s, p, middle, mean)
+    find_idle(s)
+    mass_matrix_and_bias_of_what_moves(s, p, middle, mean)
     matrix = s['mass_matrix']
     right = s['right']
     for row in range(size):
@@ -220,8 +221,9 @@ def _solve_with_friction(s, p, step):
     size = len(velocity)
     for row in range(size):
         change[row] = right[row]
-        for column in range(row + 1):
-            factors[row, column] = matrix[row, column]
+        if not s['idle'][row]:
+            for column in range(row + 1):
+                factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
     if s['any_spring_law']:
         add_laws(s, p, factors, change, velocity, step)
@@ -236,8 +238,8 @@ def _solve_with_friction(s, p, step):
     for row in range(size):
         if _is_stuck(s, row):
             lock(factors, change, row, -velocity[row])
-    factorise(factors)
-    solve(factors, change)
+    factorise(factors, s['idle'])
+    solve(factors, change, s['idle'])
     if s['any_held']:
         follow(s, change, 1.0)
     for row in range(size):
@@ -358,7 +360,7 @@ def _let_cables_change(s, p, step):
         for row in range(len(response)):
             if _is_stuck(s, row):
                 response[row] = 0.0
-        solve(s['factors'], response)
+        solve(s['factors'], response, s['idle'])
         if s['any_held']:
             follow(s, response, 0.0)
         compliance = (

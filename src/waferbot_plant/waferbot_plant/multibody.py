@@ -29,7 +29,12 @@ from waferbot_lockstep.compiled import compiled
 
 
 def workspace_fields(links: int, coordinates: int) -> list[tuple]:
-    """Return the dtype fields of the workspace; place 0 of a link array is the base."""
+    """
+    Return the dtype fields of the workspace; place 0 of a link array is the base.
+
+    `idle` (n,) is 1 for coordinates that do not move whatever acts on them: of these neither M nor h
+    is asked, and equations are solved without them.
+    """
     return [
         ('rotation', 'f8', (links + 1, 9)),
         ('point', 'f8', (links + 1, 3)),
@@ -40,6 +45,7 @@ def workspace_fields(links: int, coordinates: int) -> list[tuple]:
         ('composite', 'f8', (links + 1, 10)),
         ('mass_matrix', 'f8', (coordinates, coordinates)),
         ('bias', 'f8', (coordinates,)),
+        ('idle', 'i8', (coordinates,)),
     ]
 
 
@@ -96,6 +102,15 @@ def mass_matrix_and_bias(s, p, position, velocity):
     `s` and `p` are records with the fields above. `mass_matrix` (n, n) is filled in its lower
     triangle; h has the sign of a force on the left-hand side: holding still takes the force h.
     """
+    for row in range(len(s['idle'])):
+        s['idle'][row] = 0
+    mass_matrix_and_bias_of_what_moves(s, p, position, velocity)
+
+
+@compiled
+def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
+    """Compute M and h, but for the rows of coordinates that are `idle`: zero, but for rotors."""
+    idle = s['idle']
     rotation = s['rotation']
     point = s['point']
     motion = s['motion']
@@ -133,6 +148,13 @@ def mass_matrix_and_bias(s, p, position, velocity):
         row = p['coordinate'][link]
         ratio = p['ratio'][link]
 
+        for entry in range(10):
+            composite[parent, entry] += composite[own, entry]
+        for entry in range(6):
+            wrench[parent, entry] += wrench[own, entry]
+        if idle[row]:
+            continue
+
         s0, s1, s2 = motion[own, 0], motion[own, 1], motion[own, 2]
         s3, s4, s5 = motion[own, 3], motion[own, 4], motion[own, 5]
         bias[row] += ratio * (
@@ -162,6 +184,9 @@ def mass_matrix_and_bias(s, p, position, velocity):
         above = parent
         while above > 0:
             column = p['coordinate'][above - 1]
+            if idle[column]:
+                above = p['parent'][above - 1]
+                continue
             entry = (
                 ratio
                 * p['ratio'][above - 1]
@@ -180,11 +205,6 @@ def mass_matrix_and_bias(s, p, position, velocity):
                 mass_matrix[max(row, column), min(row, column)] += entry
             above = p['parent'][above - 1]
 
-        for entry in range(10):
-            composite[parent, entry] += composite[own, entry]
-        for entry in range(6):
-            wrench[parent, entry] += wrench[own, entry]
-
 
 @compiled
 def _place_link(s, p, link, position, velocity):
@@ -202,14 +222,22 @@ def _place_link(s, p, link, position, velocity):
     r0, r1, r2 = rotation[parent, 0], rotation[parent, 1], rotation[parent, 2]
     r3, r4, r5 = rotation[parent, 3], rotation[parent, 4], rotation[parent, 5]
     r6, r7, r8 = rotation[parent, 6], rotation[parent, 7], rotation[parent, 8]
-    ux, uy, uz = p['axis'][link, 0], p['axis'][link, 1], p['axis'][link, 2]
-    ax = r0 * ux + r1 * uy + r2 * uz
-    ay = r3 * ux + r4 * uy + r5 * uz
-    az = r6 * ux + r7 * uy + r8 * uz
     ox, oy, oz = p['offset'][link, 0], p['offset'][link, 1], p['offset'][link, 2]
     px = point[parent, 0] + r0 * ox + r1 * oy + r2 * oz
     py = point[parent, 1] + r3 * ox + r4 * oy + r5 * oz
     pz = point[parent, 2] + r6 * ox + r7 * oy + r8 * oz
+    if q == 0.0 and s['idle'][p['coordinate'][link]]:  # as if it were one with its parent
+        for entry in range(9):
+            rotation[own, entry] = rotation[parent, entry]
+        for entry in range(6):
+            twist[own, entry] = twist[parent, entry]
+            drift[own, entry] = drift[parent, entry]
+        point[own, 0], point[own, 1], point[own, 2] = px, py, pz
+        return
+    ux, uy, uz = p['axis'][link, 0], p['axis'][link, 1], p['axis'][link, 2]
+    ax = r0 * ux + r1 * uy + r2 * uz
+    ay = r3 * ux + r4 * uy + r5 * uz
+    az = r6 * ux + r7 * uy + r8 * uz
     wx, wy, wz = twist[parent, 0], twist[parent, 1], twist[parent, 2]
     vx, vy, vz = twist[parent, 3], twist[parent, 4], twist[parent, 5]
 
@@ -393,17 +421,23 @@ def gravity_energy(s, p):
 
 
 @compiled
-def factorise(matrix):
+def factorise(matrix, idle):
     """
     Factorise a symmetric positive definite matrix (n, n) in place, A = L' D L, lower triangle.
+
+    Without the rows and columns that are `idle` (n,).
 
     Eliminates from the last row up, children before parents: the zeros between branches of the
     tree then stay zeros, and rows that a link does not touch are skipped (Featherstone, section
     6.5).
     """
     for pivot in range(len(matrix) - 1, 0, -1):
+        if idle[pivot]:
+            continue
         inverse = 1.0 / matrix[pivot, pivot]
         for row in range(pivot):
+            if idle[row]:
+                continue
             factor = matrix[pivot, row] * inverse
             if factor != 0.0:
                 for column in range(row + 1):
@@ -413,15 +447,24 @@ def factorise(matrix):
 
 
 @compiled
-def solve(factors, vector):
-    """Solve A x = vector (n,) in place with the factors of A from `factorise`."""
+def solve(factors, vector, idle):
+    """Solve A x = vector (n,) in place with the factors of A from `factorise`; 0 where `idle`."""
     size = len(vector)
+    for row in range(size):
+        if idle[row]:
+            vector[row] = 0.0
     for row in range(size - 1, 0, -1):
+        if idle[row]:
+            continue
         value = vector[row]
         for column in range(row):
-            vector[column] -= factors[row, column] * value
+            if not idle[column]:
+                vector[column] -= factors[row, column] * value
     for row in range(size):
+        if idle[row]:
+            continue
         value = vector[row] / factors[row, row]
         for column in range(row):
-            value -= factors[row, column] * vector[column]
+            if not idle[column]:
+                value -= factors[row, column] * vector[column]
         vector[row] = value

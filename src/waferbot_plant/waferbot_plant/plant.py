@@ -179,8 +179,8 @@ def acceleration(state, parameters, force, result):
     constraints.find_held(s, p)
     if s['any_held']:
         constraints.impose(s, s['factors'], result, 0.0)
-    multibody.factorise(s['factors'])
-    multibody.solve(s['factors'], result)
+    multibody.factorise(s['factors'], s['idle'])
+    multibody.solve(s['factors'], result, s['idle'])
     if s['any_held']:
         constraints.follow(s, result, 0.0)
 
