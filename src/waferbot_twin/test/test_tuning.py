@@ -8,9 +8,10 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis import tuning
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Problem
+from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
@@ -92,6 +93,28 @@ def test_noise_that_makes_stiff_parts_ring_promises_nothing(logs):
     for problem in quiet_logs:
         base = evaluate(problem)
         assert not screen_damped(problem, base, candidates(problem, effects))
+
+
+def test_what_no_log_could_hold_is_not_tried(nominal, logs):
+    """A soft cable would leave more over than there is; near the hidden value all are tried."""
+    problem, _ = logs[0]
+    base = evaluate(problem)
+    quick = tuning.noise_free(problem, base).in_quick_steps()
+
+    def tried(name, axis):
+        (parameter,) = find(name).parameters(nominal, axis)
+        typical = Cause(find(name), axis, {parameter.name: parameter.typical})
+        values = tuning.times_its_value(problem, typical, tuning.DAMPED)
+        found = tuning._within_reach(base, quick, values)
+        every = [tuning.promise(base, quick, cause) for cause, _ in found]
+        np.testing.assert_array_equal([gain for _, gain in found], every)
+        return [cause.values[parameter.name] / parameter.typical for cause, _ in found]
+
+    assert len(tried('cable_compliance', 'y_linear')) <= len(tuning.DAMPED) // tuning.APART + 2
+    about = [value for value in tuning.DAMPED if 0.5 * SHARE < value < 2.0 * SHARE]
+    assert len(about) >= 5
+    near = [value for value in tried(HIDDEN, AXIS) if 0.5 * SHARE < value < 2.0 * SHARE]
+    np.testing.assert_allclose(near, about)
 
 
 def test_a_search_that_finds_nothing_else_tries_it(nominal, logs):

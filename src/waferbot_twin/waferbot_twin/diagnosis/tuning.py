@@ -12,8 +12,9 @@ thousand.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +33,7 @@ from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.screening import Screened
-from waferbot_twin.diagnosis.whitening import whitened
+from waferbot_twin.diagnosis.whitening import Colour, in_deviations, whitened
 
 CLOSE = (
     (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
@@ -68,6 +69,9 @@ DAMPED = tuple(np.geomspace(0.02, 2.0, 38))
 Times its typical value at which a compliance is tried where nothing else is found: 13 % apart. Of those
 in the machine's bearings and shafts that are as large as a log of a second shows, all lie here.
 """
+
+APART = 4
+"""One of so many of these is tried first: between two that are out of reach the others are, too."""
 
 SLOWER = tuple(np.linspace(0.95, 1.25, 13))
 """
@@ -152,7 +156,7 @@ def _damped(
     typical = replace(cause.with_values({item.name: item.typical}), narrow=(item.name,))
     found: list[tuple[Cause, float]] = []
     try:
-        tried = values_tried(problem, typical, DAMPED, functools.partial(promise, base, quick))
+        tried = _within_reach(base, quick, times_its_value(problem, typical, DAMPED))
         if max(gain for _, gain in tried) < STANDS_OUT:
             return []
         for one in _maxima(tried):
@@ -166,23 +170,73 @@ def _damped(
     return found
 
 
+def _within_reach(
+    base: Hypothesis, logs: NoiseFree, values: Sequence[Cause]
+) -> list[tuple[Cause, float]]:
+    """
+    Return values of a compliance that the logs could hold, each with its gain as `promise` has it.
+
+    With w what a value changes, white and in deviations of the noise, a log that holds it is less likely
+    without it by |w|^2 in 2 ln L. Where that is below `STANDS_OUT` it does not show; and there is not
+    more left over than there is: white residuals of N samples have a square sum of N.
+    """
+    found: dict[int, tuple[Cause, float]] = {}
+    beyond: dict[int, int] = {}
+
+    def try_value(place: int) -> None:
+        change = _change_in(logs, values[place])
+        shown = in_deviations(_colours_of(base, change), _channels_of(base, change))
+        square = sum(float(np.sum(part**2)) for part in shown)
+        samples = sum(len(part) for part in shown)
+        beyond[place] = -1 if square < STANDS_OUT else int(square > samples)
+        found[place] = values[place], _gain_of(base, change)
+
+    first = sorted({*range(0, len(values), APART), len(values) - 1})
+    for place in first:
+        try_value(place)
+    for below, above in itertools.pairwise(first):
+        if not beyond[below] == beyond[above] != 0:
+            for place in range(below + 1, above):
+                try_value(place)
+    return [found[place] for place in sorted(found)]
+
+
 def promise(base: Hypothesis, logs: NoiseFree, cause: Cause) -> float:
     """
     Return the gain in 2 ln L of what a cause changes in noise-free logs, in any size and phase.
 
     In noise of the colour that the residuals of `base` have as they are.
     """
-    change = whole_change(logs.problem, logs.beside, (*logs.beside.causes, cause))
+    return _gain_of(base, _change_in(logs, cause))
+
+
+def _change_in(logs: NoiseFree, cause: Cause) -> dict[str, Array]:
+    return whole_change(logs.problem, logs.beside, (*logs.beside.causes, cause))
+
+
+def _gain_of(base: Hypothesis, change: Mapping[str, Array]) -> float:
     blocks = list(change)
     rows, right = whitened(
         [channel for block in blocks for channel in base.residuals[block]],
         [part for block in blocks for part in _with_later(change[block], base.residuals[block])],
-        [colour for block in blocks for colour in base.fits[block].colours],
+        _colours_of(base, change),
     )
     scale = np.sqrt(np.sum(rows**2, axis=0))
     scale[scale == 0.0] = 1.0
     solution, *_ = np.linalg.lstsq(rows / scale, right, rcond=1e-10)
     return float(right @ right - np.sum((rows / scale @ solution - right) ** 2))
+
+
+def _colours_of(base: Hypothesis, change: Mapping[str, Array]) -> list[Colour]:
+    return [colour for block in change for colour in base.fits[block].colours]
+
+
+def _channels_of(base: Hypothesis, change: Mapping[str, Array]) -> list[Array]:
+    return [
+        part
+        for block, all_of in change.items()
+        for part in by_channel(all_of, base.residuals[block])
+    ]
 
 
 def _with_later(change: Array, channels: Sequence[Array]) -> list[Array]:
@@ -214,13 +268,17 @@ def values_tried(
     problem: Problem, cause: Cause, factors: Sequence[float], gain_of: Callable[[Cause], float]
 ) -> list[tuple[Cause, float]]:
     """Return so many times the value of a compliance, each with its gain in 2 ln L."""
+    return [(one, gain_of(one)) for one in times_its_value(problem, cause, factors)]
+
+
+def times_its_value(problem: Problem, cause: Cause, factors: Sequence[float]) -> list[Cause]:
+    """Return a compliance with so many times its value, as far as it may go."""
     (item,) = parameters_of(problem, cause)
     value = cause.values[item.name]
-    about = [
+    return [
         cause.with_values({item.name: float(np.clip(value * factor, item.low, item.high))})
         for factor in factors
     ]
-    return [(one, gain_of(one)) for one in about]
 
 
 def _maxima(tried: Sequence[tuple[Cause, float]]) -> list[Cause]:
