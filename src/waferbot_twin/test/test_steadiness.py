@@ -11,6 +11,7 @@ import pytest
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.agreement import disagreements
 from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.hypothesis import evaluate
@@ -93,6 +94,19 @@ def test_what_a_cause_stands_in_for_shows_where_it_is_larger(nominal, hidden, na
 def test_a_true_cause_is_as_large_everywhere(nominal, name):
     truth = cause(nominal, name, 'y_linear')
     assert unsteady(*searched(nominal, truth, truth, 'full_stroke_y_linear')) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('name', 'axis'),
+    [('coulomb_friction', 'y_linear'), ('load_dependent_friction', 'x_rotate')],
+)
+def test_a_large_true_friction_is_not_doubted_for_what_sticks_in_noise(nominal, name, axis):
+    """It leaves something of its form over, surely no noise, but next to nothing of what it gains."""
+    truth = cause(nominal, name, axis)
+    in_noise = searched(nominal, truth, truth, 'wafer_exchange', 'step')
+    assert unsteady(*in_noise) == []
+    assert disagreements(*in_noise) == []
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ or the current of its axis, one at a time, without its mean and at most one:
     r + a s + b m s = noise.
 
 For a true cause b is zero, and twice the gain in ln L by b has a chi-squared distribution, with a degree
-of freedom for each of its parameters in the logs that found it and in those that judge.
+of freedom for each of its parameters in the logs that found it and in those that judge. What is next to
+nothing beside what the cause itself gains does not count (`agreement.NEGLIGIBLE`).
 
 Assumption: m changes slowly against the memory of the blocks' observers, some milliseconds.
 """
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.agreement import WithoutNoise, changes_without_noise
+from waferbot_twin.diagnosis.agreement import WithoutNoise, changes_without_noise, counts
 from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.jointly import by_channel
 from waferbot_twin.diagnosis.noise_free_motion import Motion, motions
@@ -51,11 +52,16 @@ SLOW: Mapping[str, Callable[[Motion], Array]] = {
 
 @dataclass(frozen=True)
 class Unsteady:
-    """A cause whose size seems to change `with_what`, and how probable that is if it does not."""
+    """
+    A cause whose size seems to change `with_what`, and how probable that is if it does not.
+
+    `gained` is what such a change gains in 2 ln L.
+    """
 
     cause: Cause
     with_what: str
     chance: float
+    gained: float
 
     def __str__(self) -> str:
         """Say so."""
@@ -90,11 +96,12 @@ def unsteady(problem: Problem, judge: Problem, found: Search) -> list[Unsteady]:
             count = sum(number for _, number in each)
             if count:
                 gained = sum(gain for gain, _ in each)
-                asked.append(Unsteady(cause, name, float(chi2.sf(gained, count))))
+                asked.append(Unsteady(cause, name, float(chi2.sf(gained, count)), gained))
         if not asked:
             continue
         best = min(asked, key=lambda item: item.chance)
-        if best.chance * len(SLOW) * len(causes) < CHANCE:
+        significant = best.chance * len(SLOW) * len(causes) < CHANCE
+        if significant and counts(best.gained, cause, problem, judge, found):
             result.append(best)
     return result
 
