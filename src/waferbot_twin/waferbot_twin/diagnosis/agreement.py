@@ -41,14 +41,13 @@ from waferbot_twin.diagnosis.whitening import fit, prediction_errors
 CHANCE = 1e-3
 """Probability that the logs disagree as much on a true cause."""
 
-NEGLIGIBLE = 0.02
+NEGLIGIBLE = 0.01
 """
-Share of what a cause gains in 2 ln L that does not speak against it if it is left over in its own form.
+Share of what a cause gains in 2 ln L by which logs may disagree on it.
 
 Of 54 true frictions (Coulomb, Stribeck, load-dependent; 0.3 to 3 times their typical size; judged in
-another motion) 23 had left something that should be there by chance once in 50 000, 0.2 to 1.2 % of
-what they gained, in three cases 2.0, 2.5 and 4.2 %. Of 60 false ones in place of another friction 54 had
-more, mostly 4 to 140 %.
+another motion) 8 had logs that disagreed as much as by chance one in 1000 do, by 0.2 to 0.5 % of what
+they gained, one by 1.5 %.
 """
 
 
@@ -111,13 +110,17 @@ def disagreements(problem: Problem, judge: Problem, found: Search) -> list[Disag
         every = [*wanted[0], *wanted[1]]
         square, degrees = disagreement(every)
         chance = float(chi2.sf(square, degrees)) if degrees else 1.0
-        if chance * len(causes) < CHANCE and counts(square, cause, problem, judge, found):
+        if chance * len(causes) < CHANCE and counts(
+            square, NEGLIGIBLE, cause, problem, judge, found
+        ):
             result.append(Disagreement(cause, _axes(cause, every), chance, tuple(every)))
     return result
 
 
-def counts(left: float, cause: Cause, problem: Problem, judge: Problem, found: Search) -> bool:
-    """Return whether it is more than `NEGLIGIBLE` what is left over of a cause's form, in 2 ln L."""
+def counts(
+    left: float, share: float, cause: Cause, problem: Problem, judge: Problem, found: Search
+) -> bool:
+    """Return whether what is left over of a cause's form is more than a share of its gain, in 2 ln L."""
     gained = 0.0
     for logs, hypothesis in ((problem, found.found), (judge, found.judged)):
         others = tuple(other for other in hypothesis.causes if other.name != cause.name)
@@ -126,7 +129,7 @@ def counts(left: float, cause: Cause, problem: Problem, judge: Problem, found: S
         except UserError:  # the machine does not stand without it
             return True
         gained += 2.0 * (hypothesis.log_likelihood - without.log_likelihood)
-    return left > NEGLIGIBLE * gained
+    return left > share * gained
 
 
 def disagreement(wanted: Sequence[Wanted]) -> tuple[float, int]:
