@@ -181,7 +181,7 @@ def _within_reach(
     more left over than there is: white residuals of N samples have a square sum of N.
     """
     found: dict[int, tuple[Cause, float]] = {}
-    beyond: dict[int, int] = {}
+    beyond: dict[int, int] = {}  # -1 does not show, 1 is more than there is, 0 is within reach
 
     def try_value(place: int) -> None:
         change = _change_in(logs, values[place])
@@ -195,7 +195,8 @@ def _within_reach(
     for place in first:
         try_value(place)
     for below, above in itertools.pairwise(first):
-        if not beyond[below] == beyond[above] != 0:
+        both_beyond = beyond[below] != 0 and beyond[below] == beyond[above]
+        if not both_beyond:
             for place in range(below + 1, above):
                 try_value(place)
     return [found[place] for place in sorted(found)]
@@ -215,6 +216,7 @@ def _change_in(logs: NoiseFree, cause: Cause) -> dict[str, Array]:
 
 
 def _gain_of(base: Hypothesis, change: Mapping[str, Array]) -> float:
+    """Return the gain in 2 ln L of a change by block, in any size and phase."""
     blocks = list(change)
     rows, right = whitened(
         [channel for block in blocks for channel in base.residuals[block]],
