@@ -225,9 +225,9 @@ def test_shaking_floor_is_gravity_less_its_acceleration_on_any_tree() -> None:
     for machine in (shaken, tilted):
         parameters = machine.parameters()
         state = machine.initial_state(parameters)
-        state[0]['position'], state[0]['velocity'] = q, v
+        state[0]['position'][: len(q)], state[0]['velocity'][: len(v)] = q, v
         plant.advance(state, parameters, NO_VOLTAGE)
-        speeds.append(state[0]['velocity'] - v)
+        speeds.append(state[0]['velocity'][:6] - v)
     assert speeds[0] == pytest.approx(speeds[1], rel=1e-8, abs=1e-13)
 
 
@@ -244,13 +244,6 @@ def test_constant_force_is_held_by_the_motor_at_the_start() -> None:
     pushed = statics.holding_forces(machine, machine.parameters(), {})
     free = statics.holding_forces(plain, plain.parameters(), {})
     assert pushed['y_linear'] - free['y_linear'] == pytest.approx(-25.0, rel=1e-9)
-
-
-def test_dtype_does_not_depend_on_disturbances() -> None:
-    one, _, _ = slide({'kind': 'constant', 'force_n': 3.0})
-    none, _, _ = slide(None)
-    assert one.parameter_dtype == none.parameter_dtype
-    assert one.state_dtype == none.state_dtype
 
 
 @pytest.mark.parametrize(

@@ -225,10 +225,3 @@ def test_neutral_values_are_no_effect_at_all() -> None:
     assert np.array_equal(readings(positions, delay=1, **neutral), perfect)
     assert np.array_equal(readings(positions, delay=1, looked_at=True), perfect)
     assert not slide()[1]['encoder_imperfect'].any()
-
-
-def test_the_description_decides_nothing_about_memory() -> None:
-    perfect, _ = slide()
-    wrong, _ = slide(scale_error=0.1, noise_counts=1.0)
-    assert perfect.parameter_dtype == wrong.parameter_dtype
-    assert perfect.state_dtype == wrong.state_dtype

@@ -68,7 +68,7 @@ def test_encoders_of_the_machine_count_in_their_units() -> None:
     machine = load_machine('rigid')
     parameters = machine.parameters()
     state = machine.initial_state(parameters)
-    state[0]['position'] = [0.01, 0.25, 0.125]
+    state[0]['position'][:3] = 0.01, 0.25, 0.125
     counts = [
         encoders.read_encoder(parameters[0], state[0]['position'], place) for place in range(4)
     ]

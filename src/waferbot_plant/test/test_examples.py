@@ -143,8 +143,8 @@ def test_two_link_arm_obeys_the_textbook_equations() -> None:
             ]
         )
         expected = np.linalg.solve([[m11, m12], [m12, m22]], torque - coriolis - gravity)
-        state[0]['position'] = [q1, q2]
-        state[0]['velocity'] = [v1, v2]
+        state[0]['position'][:2] = q1, q2
+        state[0]['velocity'][:2] = v1, v2
         plant.acceleration(state, parameters, torque, result)
         assert result == pytest.approx(expected, rel=1e-11, abs=1e-11)
 

@@ -54,7 +54,7 @@ def test_rigid_model_of_chapter_4_loses_energy_in_copper_only() -> None:
     assert not machine.assembly.cables
     parameters = machine.parameters()
     state = machine.initial_state(parameters, holding=True)
-    state[0]['velocity'] = [0.1, 0.0, 1.0]
+    state[0]['velocity'][:3] = 0.1, 0.0, 1.0
     for _ in range(900):
         plant.advance(state, parameters, np.zeros(9))
     lost = audit.books(machine, state, parameters).lost

@@ -358,10 +358,3 @@ def test_an_overlay_changes_each_value_of_a_motor(overlay, field: str, ratio: fl
     changed = load_machine('rigid', overlays=[{'motors': {'y_linear': overlay}}]).parameters()[0]
     assert changed[field][0] / nominal[field][0] == pytest.approx(ratio, rel=1e-12)
     assert np.array_equal(changed[field][1:], nominal[field][1:])
-
-
-def test_the_description_decides_nothing_about_memory() -> None:
-    """The same compiled code serves any set of imperfections."""
-    perfect, imperfect = machine_with('wye'), machine_with('wye', **EVERYTHING)
-    assert perfect.parameter_dtype == imperfect.parameter_dtype
-    assert perfect.state_dtype == imperfect.state_dtype

@@ -376,9 +376,6 @@ def test_whole_machine_with_all_of_it_balances_its_energy() -> None:
         },
     }
     machine = load_machine('flexible', overlays=[overlay])
-    plain = load_machine('flexible')
-    assert machine.parameter_dtype == plain.parameter_dtype
-    assert machine.state_dtype == plain.state_dtype
     parameters = machine.parameters()
     state = machine.initial_state(parameters, {}, holding=True)
     before = audit.books(machine, state, parameters)

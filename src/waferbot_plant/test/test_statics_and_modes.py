@@ -103,13 +103,14 @@ def test_free_vibration_has_the_modal_frequency() -> None:
         coordinate = machine.description.motors[axis].coordinate
         s['external_force'][machine.coordinates.index(coordinate)] = force
     shape = np.array([cable.shape[name] for name in machine.coordinates])
-    s['position'] += 1e-5 * shape
+    position = s['position'][: len(shape)]
+    position += 1e-5 * shape
     record = []
     mass = np.zeros((len(shape), len(shape)))
     plant.mass_matrix(state, parameters, mass)
     for _ in range(18000):
         plant.advance(state, parameters, np.zeros(9))
-        record.append(shape @ mass @ s['position'])
+        record.append(shape @ mass @ position)
     signal = np.array(record)
     crossings = np.nonzero((signal[:-1] < 0.0) & (signal[1:] >= 0.0))[0]
     fine = crossings + signal[crossings] / (signal[crossings] - signal[crossings + 1])

@@ -49,8 +49,7 @@ class Element:
     """
     A spring between minimal coordinates: deflection = sum of ratio * z over `terms`.
 
-    One that is `held` keeps its deflection; stiffness and damping are what it would have. `law` has
-    the parameters of `spring_laws` by name; those not in it have no effect.
+    `law` has the parameters of `spring_laws` by name; those not in it have no effect.
     """
 
     name: str
@@ -60,7 +59,6 @@ class Element:
     damping: float
     rest: float
     pulls_only: bool
-    held: bool = False
     law: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -88,7 +86,7 @@ def assemble(description: Description) -> Assembly:
     """Build the arrays of a description with its connections switched as they are."""
     links, link_of, placing, coordinates = _reduce(
         description,
-        {name for name, part in description.connections.items() if part.flexible or part.held},
+        {name for name, part in description.connections.items() if part.flexible},
     )
     ropes = _heavy_ropes(description)
     coordinates += ropes
@@ -430,14 +428,8 @@ def _lengthened_and_halved(
 
 
 def giving_connections(description: Description, names: Iterable[str]) -> set[str]:
-    """
-    Return those of some connections in series that give.
-
-    The flexible ones; where there is none, the held ones: they would give if they were let go.
-    """
-    connections = description.connections
-    flexible = {name for name in names if connections[name].flexible}
-    return flexible or {name for name in names if connections[name].held}
+    """Return those of some connections in series that give: the flexible ones."""
+    return {name for name in names if description.connections[name].flexible}
 
 
 def _held_freedoms(
@@ -468,7 +460,6 @@ def _held_freedoms(
                 names = tuple(part.name for part in soft)
                 rest = -behaviour.weight_on(freedom.name) / stiffness
                 term = placing[freedom.name]
-                held = not any(part.flexible for part in soft)
                 elements.append(
                     Element(
                         freedom.name,
@@ -478,7 +469,6 @@ def _held_freedoms(
                         damping,
                         rest,
                         False,
-                        held,
                         law_in_series([(part, part.stiffness, 1.0) for part in soft], stiffness),
                     )
                 )
@@ -536,7 +526,6 @@ def _soft_transmissions(
                 damping,
                 behaviour.weight_on(transmission.driven) / stiffness,
                 transmission.pulls_only,
-                not any(part.flexible for part, _ in seen),
                 {
                     **law_in_series(
                         [

@@ -11,8 +11,7 @@ which every coordinate is zero; so no chain of frames has to be worked out by ha
   freedom `held_by` connections is no axis of the machine but the give of a part.
 - A **transmission** ties two coordinates together by a ratio: gear, belt, cable over a pulley.
 - A **connection** is the elastic part in a joint or in a stage of a transmission. Where its state
-  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist. `held`
-  is as stiff as that, but the freedom stays in the model and stands still (see `constraints`).
+  is `rigid` it does not give; a freedom all of whose connections are rigid does not exist.
 - A **rotor** is an inertia that spins about its own axis, driven through a transmission. As in the
   thesis (2.21) and in one-dimensional drive-train models it carries only the energy
   J * speed^2 / 2 of its own coordinate: the turning of the body that it is mounted on is not felt
@@ -50,7 +49,7 @@ BASE = 'base'
 DAMPING = ('calculated', 'improved')
 """The two sets of loss factors and friction; see the thesis, chapter 6."""
 
-STATES = ('held', 'rigid', 'flexible')
+STATES = ('rigid', 'flexible')
 """What a connection can be."""
 
 
@@ -157,10 +156,10 @@ class Connection:
     becomes an equivalent viscous one at the part's first natural frequency, eq. (5.5). In that,
     the coordinates `free` may follow; in a joint, all others are held.
 
-    One that is neither `flexible` nor `held` is rigid. The rest is what makes it more than a
-    linear spring, in its own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2
-    or 1/rad2, `slip` in N or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m
-    beyond home, and `rope_mass` in kg. None: never.
+    One that is not `flexible` is rigid. The rest is what makes it more than a linear spring, in its
+    own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2 or 1/rad2, `slip` in N
+    or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m beyond home, and
+    `rope_mass` in kg. None: never.
     """
 
     name: str
@@ -170,7 +169,6 @@ class Connection:
     damping: float | None
     loss_factor: float | None
     free: tuple[str, ...]
-    held: bool = False
     gap: float = 0.0
     hardening: float = 0.0
     slip: float | None = None

@@ -96,9 +96,7 @@ def _switch(document: Document, switches: Mapping[str, str] | str | None) -> Non
         if name not in connections:
             raise UserError(f'no connection {name!r} to switch{did_you_mean(name, connections)}')
         if state not in STATES:
-            raise UserError(
-                f'connection {name}: state is {state!r}; it is held, rigid or flexible'
-            )
+            raise UserError(f'connection {name}: state is {state!r}; it is rigid or flexible')
         connections[name]['state'] = state
 
 

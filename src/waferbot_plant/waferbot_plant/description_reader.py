@@ -352,20 +352,20 @@ class Reader:
             self.moving((*key, 'first_frequency_with', place), coordinate)
             for place, coordinate in enumerate(value.get('first_frequency_with', ()))
         )
-        flexible, held = value['state'] == 'flexible', value['state'] == 'held'
+        flexible = value['state'] == 'flexible'
         law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, **law)
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):
             raise self.document.error(key, f'give either loss_factor or {names[rotary]}')
         if 'loss_factor' in value:
             loss = float(value['loss_factor'])
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, held, **law)
+            return Connection(name, flexible, rotary, stiffness, None, loss, free, **law)
         damping = float(self.quantity(key, rotary, *names))
-        return Connection(name, flexible, rotary, stiffness, damping, None, free, held, **law)
+        return Connection(name, flexible, rotary, stiffness, damping, None, free, **law)
 
     def stiffness_of_part(
         self, key: Key, value: dict[str, Any], rotary: bool

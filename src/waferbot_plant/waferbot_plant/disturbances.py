@@ -186,9 +186,9 @@ def add_floor(s, p, right, step):
     ay = p['vibration_acceleration'][1] * wave
     az = p['vibration_acceleration'][2] * wave
     force = s['floor_force']
-    for row in range(len(force)):
+    for row in range(p['coordinates']):
         force[row] = 0.0
-    for link in range(len(p['parent'])):
+    for link in range(p['links']):
         s0, s1, s2, s3, s4, s5 = s['motion'][link + 1]
         mass, cx, cy, cz = s['composite'][link + 1, :4]
         force[p['coordinate'][link]] -= p['ratio'][link] * (
@@ -196,7 +196,7 @@ def add_floor(s, p, right, step):
             + ay * (mass * s4 + s2 * cx - s0 * cz)
             + az * (mass * s5 + s0 * cy - s1 * cx)
         )
-    for row in range(len(force)):
+    for row in range(p['coordinates']):
         right[row] += step * force[row]
 
 
@@ -211,9 +211,9 @@ def book_disturbances(s, p, mean, step):
 
 
 @compiled
-def book_floor(s, mean, step):
+def book_floor(s, p, mean, step):
     """Add the floor's work of the step to its ledger, J, in the frame of the machine."""
-    for row in range(len(mean)):
+    for row in range(p['coordinates']):
         s['floor_work'] += s['floor_force'][row] * mean[row] * step
 
 

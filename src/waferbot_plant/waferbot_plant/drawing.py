@@ -122,7 +122,8 @@ def _motion(
     """Return the motion of all corners per unit of a mode's shape, m."""
     step = 1e-6
     probe = state.copy()
-    probe[0]['position'] += step * np.array([mode.shape[name] for name in machine.coordinates])
+    shape = np.array([mode.shape[name] for name in machine.coordinates])
+    probe[0]['position'][: len(shape)] += step * shape
     moved = moved_corners(machine, probe, parameters)
     return {name: (moved[name] - points) / step for name, points in rest.items()}
 

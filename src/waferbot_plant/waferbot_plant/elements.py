@@ -94,8 +94,8 @@ def add_spring(
 def add_springs(s, p, matrix, right, position, velocity, step):
     """Put all spring-dampers into A and r, but for those with a law (see `spring_laws`)."""
     any_law = s['any_spring_law']
-    for spring in range(len(p['spring_first'])):
-        if (any_law and s['spring_lawful'][spring]) or _stands(s, p, spring):
+    for spring in range(p['springs']):
+        if any_law and s['spring_lawful'][spring]:
             continue
         add_spring(
             matrix, right, p['spring_first'][spring], p['spring_second'][spring],
@@ -106,17 +106,11 @@ def add_springs(s, p, matrix, right, position, velocity, step):
 
 
 @compiled
-def _stands(s, p, spring):
-    """Return whether both ends of a spring are idle: it moves nothing and nothing moves it."""
-    return s['idle'][p['spring_first'][spring]] and s['idle'][p['spring_second'][spring]]
-
-
-@compiled
 def book_springs(s, p, mean_speed, step):
     """Add the step's loss d u^2 of every linear spring-damper to its ledger."""
     any_law = s['any_spring_law']
-    for spring in range(len(p['spring_first'])):
-        if (any_law and s['spring_lawful'][spring]) or _stands(s, p, spring):
+    for spring in range(p['springs']):
+        if any_law and s['spring_lawful'][spring]:
             continue
         speed = (
             p['spring_first_ratio'][spring] * mean_speed[p['spring_first'][spring]]
@@ -145,7 +139,7 @@ def judge_cables(s, p, middle, speed):
     spring of 2 k while it stretches fast, and no force while it shortens fast: a damper never
     makes a cable push.
     """
-    for cable in range(len(p['cable_first'])):
+    for cable in range(p['cables']):
         elongation = cable_elongation(p, cable, middle)
         rate = (
             p['cable_first_ratio'][cable] * speed[p['cable_first'][cable]]
@@ -154,8 +148,7 @@ def judge_cables(s, p, middle, speed):
         stiffness = p['cable_stiffness'][cable]
         damping = p['cable_damping'][cable]
         s['cable_force'][cable] = 0.0
-        held = s['any_held'] and p['cable_held'][cable]
-        if held or elongation <= 0.0 or damping * rate < -stiffness * elongation:
+        if elongation <= 0.0 or damping * rate < -stiffness * elongation:
             s['cable_stiffness'][cable] = 0.0
             s['cable_damping'][cable] = 0.0
         elif damping * rate > stiffness * elongation:
@@ -169,7 +162,7 @@ def judge_cables(s, p, middle, speed):
 @compiled
 def add_cables(s, p, matrix, right, position, velocity, step):
     """Put the cables into A and r, as they were judged, and tensions that are fixed already."""
-    for cable in range(len(p['cable_first'])):
+    for cable in range(p['cables']):
         first = p['cable_first'][cable]
         second = p['cable_second'][cable]
         a = p['cable_first_ratio'][cable]
@@ -222,9 +215,7 @@ def book_cables(s, p, before, after, mean_speed, step):
 
     `before` and `after` (n,) are the coordinates at both ends of the step.
     """
-    for cable in range(len(p['cable_first'])):
-        if s['any_held'] and p['cable_held'][cable]:
-            continue
+    for cable in range(p['cables']):
         start = cable_elongation(p, cable, before)
         end = cable_elongation(p, cable, after)
         rate = (
@@ -265,10 +256,10 @@ def limit_friction(s, p, speed):
     All frictions of a coordinate act together. `speed` (n,) is that expected in the middle of the
     step; friction is taken at its magnitude, as the table is.
     """
-    for coordinate in range(len(s['sliding'])):
+    for coordinate in range(p['coordinates']):
         s['sliding_friction'][coordinate] = 0.0
         s['holding_friction'][coordinate] = 0.0
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         coordinate = p['friction_coordinate'][friction]
         ratio = abs(p['friction_ratio'][friction])
         at_rest = p['friction_resistance'][friction, 0]
@@ -276,38 +267,14 @@ def limit_friction(s, p, speed):
         s['friction_now'][friction] = ratio * moving
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]
-    if s['any_held']:
-        give_friction_to_leaders(s)
-
-
-@compiled
-def give_friction_to_leaders(s):
-    """Let the friction of followers act on their leaders; what is held needs none."""
-    for row in range(len(s['sliding'])):
-        leader = s['leader'][row]
-        if leader != row:
-            ratio = abs(s['leader_ratio'][row])
-            s['sliding_friction'][leader] += ratio * s['sliding_friction'][row]
-            s['holding_friction'][leader] += ratio * s['holding_friction'][row]
-            s['sliding_tilt'][leader] += s['leader_ratio'][row] * s['sliding_tilt'][row]
-            s['holding_tilt'][leader] += s['leader_ratio'][row] * s['holding_tilt'][row]
-    for row in range(len(s['sliding'])):
-        if s['leader'][row] != row or s['held_now'][row]:
-            s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
-            s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
-            s['sliding'][row] = 0
 
 
 @compiled
 def book_frictions(s, p, mean_speed, step):
     """Add the step's friction loss to the ledgers, shared among a coordinate's frictions."""
-    any_held = s['any_held']
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         coordinate = p['friction_coordinate'][friction]
         share = s['friction_now'][friction]
-        if any_held:
-            share *= abs(s['leader_ratio'][coordinate])
-            coordinate = s['leader'][coordinate]
         total = s['sliding_friction'][coordinate]
         if total > 0.0:
             loss = -s['friction_force'][coordinate] * mean_speed[coordinate] * step
@@ -328,12 +295,12 @@ def cable_tension(s, p, cable, position, velocity):
 @compiled
 def subtract_instant_forces(s, p, position, velocity, right):
     """Subtract the forces of springs and cables at one instant from `right` (n,), N or Nm."""
-    for spring in range(len(p['spring_first'])):
+    for spring in range(p['springs']):
         force, a, b = force_and_arms_now(s, p, spring, position, velocity)
         right[p['spring_first'][spring]] -= a * force
         right[p['spring_second'][spring]] -= b * force
     judge_cables(s, p, position, velocity)
-    for cable in range(len(p['cable_first'])):
+    for cable in range(p['cables']):
         force = cable_tension(s, p, cable, position, velocity)
         right[p['cable_first'][cable]] -= p['cable_first_ratio'][cable] * force
         right[p['cable_second'][cable]] -= p['cable_second_ratio'][cable] * force
@@ -343,7 +310,7 @@ def subtract_instant_forces(s, p, position, velocity, right):
 def elastic_energy(s, p, position):
     """Return the energy in springs and cables, sum of k e^2 / 2 where linear, J."""
     energy = 0.0
-    for spring in range(len(p['spring_first'])):
+    for spring in range(p['springs']):
         if s['any_spring_law'] and s['spring_lawful'][spring]:
             energy += stored_in_law(s, p, spring, position)
             continue
@@ -353,6 +320,6 @@ def elastic_energy(s, p, position):
             - p['spring_rest'][spring]
         )
         energy += 0.5 * p['spring_stiffness'][spring] * deflection * deflection
-    for cable in range(len(p['cable_first'])):
+    for cable in range(p['cables']):
         energy += stored_in_cable(p, cable, cable_elongation(p, cable, position))
     return energy

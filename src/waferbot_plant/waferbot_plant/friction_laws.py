@@ -35,7 +35,7 @@ from __future__ import annotations
 import math
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.elements import give_friction_to_leaders, resistance_at
+from waferbot_plant.elements import resistance_at
 from waferbot_plant.motors import MOTORS, NONE, force_and_damping
 
 
@@ -74,7 +74,7 @@ def state_fields(frictions: int, coordinates: int) -> list[tuple]:
 def find_friction_laws(s, p):
     """Find whether any friction is more than its table; forget tilts when none is any more."""
     found = False
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         found |= (
             (p['friction_per_motor_force'][friction] != 0.0)
             | (p['friction_position_amplitude'][friction] != 0.0)
@@ -83,7 +83,7 @@ def find_friction_laws(s, p):
             | (p['friction_bristle_stiffness'][friction] != 0.0)
         )
     if s['any_friction_law'] and not found:
-        for row in range(len(s['sliding_tilt'])):
+        for row in range(p['coordinates']):
             s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
     s['any_friction_law'] = found
 
@@ -134,10 +134,10 @@ def limit_lawful_friction(s, p, middle, mean, step):
     `middle` and `mean` (n,) are positions and speeds expected in the middle of the step.
     """
     time = (s['steps'] + 0.5) * step
-    for row in range(len(s['sliding'])):
+    for row in range(p['coordinates']):
         s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
         s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         s['friction_now'][friction] = 0.0
         if p['friction_bristle_stiffness'][friction] != 0.0:
             continue
@@ -158,15 +158,13 @@ def limit_lawful_friction(s, p, middle, mean, step):
         s['holding_friction'][row] += holding
         s['sliding_tilt'][row] += tilt * moving
         s['holding_tilt'][row] += tilt * holding
-    if s['any_held']:
-        give_friction_to_leaders(s)
 
 
 @compiled
 def add_presliding(s, p, matrix, right, middle, mean, velocity, step):
     """Put the frictions with bristles into A and r, as -(c_0 + c_1 u) with the mean speed u."""
     time = (s['steps'] + 0.5) * step
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         stiffness = p['friction_bristle_stiffness'][friction]
         if stiffness == 0.0:
             continue
@@ -206,7 +204,7 @@ def _bristle_means(rate, step):
 @compiled
 def book_presliding(s, p, mean, step):
     """Move the bristles on, and book their loss: work put in less what is stored in them, J."""
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         stiffness = p['friction_bristle_stiffness'][friction]
         if stiffness == 0.0:
             continue
@@ -226,17 +224,12 @@ def book_presliding(s, p, mean, step):
 @compiled
 def book_lawful_frictions(s, p, mean, step):
     """Do what `book_frictions` does, with shares that follow the direction."""
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         row = p['friction_coordinate'][friction]
         share = s['friction_now'][friction]
         tilt = p['friction_asymmetry'][friction]
         if p['friction_ratio'][friction] < 0.0:
             tilt = -tilt
-        if s['any_held']:
-            ratio = s['leader_ratio'][row]
-            row = s['leader'][row]
-            share *= abs(ratio)
-            tilt = tilt if ratio > 0.0 else -tilt
         direction = 1.0 if mean[row] > 0.0 else -1.0
         total = s['sliding_friction'][row] + direction * s['sliding_tilt'][row]
         if total > 0.0:
@@ -248,7 +241,7 @@ def book_lawful_frictions(s, p, mean, step):
 def stored_in_bristles(s, p):
     """Return the energy sigma_0 z^2 / 2 in all bristles, J."""
     energy = 0.0
-    for friction in range(len(p['friction_coordinate'])):
+    for friction in range(p['frictions']):
         z = s['bristle'][friction]
         energy += 0.5 * p['friction_bristle_stiffness'][friction] * z * z
     return energy

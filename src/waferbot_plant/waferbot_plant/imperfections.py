@@ -3,7 +3,7 @@
 What a description says about the imperfections of a mechanism, read and checked.
 
 A key that is left out has its neutral value, which is the machine without that imperfection. What
-they do is in `disturbances`, `friction_laws`, `spring_laws` and `constraints`.
+they do is in `disturbances`, `friction_laws` and `spring_laws`.
 """
 
 from __future__ import annotations

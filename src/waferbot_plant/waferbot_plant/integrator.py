@@ -31,7 +31,6 @@ and Applications, Springer 1988.
 from __future__ import annotations
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.constraints import find_idle, follow, give_to_leaders, impose, lock
 from waferbot_plant.disturbances import (
     add_disturbances,
     add_floor,
@@ -57,7 +56,7 @@ from waferbot_plant.friction_laws import (
     limit_lawful_friction,
 )
 from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
-from waferbot_plant.multibody import factorise, mass_matrix_and_bias_of_what_moves, solve
+from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
 from waferbot_plant.spring_laws import (
     ROUNDS,
     add_laws,
@@ -99,13 +98,12 @@ def advance_step(s, p, voltage, step):
     change = s['velocity_change']
     middle = s['middle_position']
     mean = s['middle_velocity']
-    size = len(position)
+    size = p['coordinates']
     for row in range(size):
         middle[row] = position[row] + 0.5 * step * velocity[row]
         mean[row] = velocity[row] + 0.5 * change[row]
 
-    find_idle(s)
-    mass_matrix_and_bias_of_what_moves(s, p, middle, mean)
+    mass_matrix_and_bias(s, p, middle, mean)
     matrix = s['mass_matrix']
     right = s['right']
     for row in range(size):
@@ -159,7 +157,7 @@ def advance_step(s, p, voltage, step):
     if disturbed:
         book_disturbances(s, p, mean, step)
     if shaken:
-        book_floor(s, mean, step)
+        book_floor(s, p, mean, step)
     s['steps'] += 1
     finish_step(s, p, mean, voltage, step)
     for row in range(size):
@@ -177,7 +175,7 @@ def _find_velocity_change(s, p, step):
     After a few rounds only the first misfit is turned over, which is sure to end (Murty's rule: A
     is positive definite).
     """
-    size = len(s['position'])
+    size = p['coordinates']
     for row in range(size):
         s['friction_force'][row] = 0.0
     rounds = 0
@@ -218,12 +216,11 @@ def _solve_with_friction(s, p, step):
     right = s['right']
     change = s['velocity_change']
     velocity = s['velocity']
-    size = len(velocity)
+    size = p['coordinates']
     for row in range(size):
         change[row] = right[row]
-        if not s['idle'][row]:
-            for column in range(row + 1):
-                factors[row, column] = matrix[row, column]
+        for column in range(row + 1):
+            factors[row, column] = matrix[row, column]
     add_cables(s, p, factors, change, s['position'], velocity, step)
     if s['any_spring_law']:
         add_laws(s, p, factors, change, velocity, step)
@@ -233,43 +230,41 @@ def _solve_with_friction(s, p, step):
                 -s['sliding'][row] * s['sliding_friction'][row] - s['sliding_tilt'][row]
             )
             change[row] += step * s['friction_force'][row]
-    if s['any_held']:
-        impose(s, factors, change, 1.0)
     for row in range(size):
         if _is_stuck(s, row):
-            lock(factors, change, row, -velocity[row])
-    factorise(factors, s['idle'])
-    solve(factors, change, s['idle'])
-    if s['any_held']:
-        follow(s, change, 1.0)
+            _lock(factors, change, row, -velocity[row], size)
+    factorise(factors, size)
+    solve(factors, change, size)
     for row in range(size):
         if _is_stuck(s, row):
             s['friction_force'][row] = _holding_force(s, p, row, step)
 
 
 @compiled
-def _holding_force(s, p, row, step):
-    """Return the friction that keeps a coordinate, and what follows it, at rest, N or Nm."""
-    force = _missing_force(s, p, row, step)
-    if s['any_held']:
-        for other in range(len(s['leader'])):
-            if s['leader'][other] == row and other != row:
-                force += s['leader_ratio'][other] * _missing_force(s, p, other, step)
-    return force
+def _lock(matrix, right, locked, value, size):
+    """Make `value` the solution's entry `locked`, exactly, and leave the equations symmetric."""
+    for column in range(locked):
+        right[column] -= matrix[locked, column] * value
+        matrix[locked, column] = 0.0
+    for row in range(locked + 1, size):
+        right[row] -= matrix[row, locked] * value
+        matrix[row, locked] = 0.0
+    matrix[locked, locked] = 1.0
+    right[locked] = value
 
 
 @compiled
-def _missing_force(s, p, row, step):
-    """Return what is missing in a row of the equations: (A dz' - r) / h, N or Nm."""
+def _holding_force(s, p, row, step):
+    """Return the friction that keeps a coordinate at rest, (A dz' - r) / h, N or Nm."""
     matrix = s['mass_matrix']
     change = s['velocity_change']
     residual = -s['right'][row]
     for column in range(row):
         residual += matrix[row, column] * change[column]
-    for column in range(row, len(change)):
+    for column in range(row, p['coordinates']):
         residual += matrix[column, row] * change[column]
     force = residual / step
-    for cable in range(len(p['cable_first'])):
+    for cable in range(p['cables']):
         arm = 0.0
         if p['cable_first'][cable] == row:
             arm += p['cable_first_ratio'][cable]
@@ -287,9 +282,9 @@ def _force_of_laws(s, p, row, step):
     """Return what the springs with laws take from a row, with the present dz', N or Nm."""
     force = 0.0
     mean = s['middle_velocity']
-    for other in range(len(mean)):
+    for other in range(p['coordinates']):
         mean[other] = s['velocity'][other] + 0.5 * s['velocity_change'][other]
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         if s['spring_lawful'][spring]:
             if p['spring_first'][spring] == row:
                 force += s['spring_arm_first'][spring] * linearised_force(s, p, spring, mean, step)
@@ -335,9 +330,8 @@ def _let_cables_change(s, p, step):
     change in the same step see each other's change only as judged.
     """
     response = s['response']
-    for cable in range(len(p['cable_first'])):
-        if s['any_held'] and p['cable_held'][cable]:
-            continue
+    size = p['coordinates']
+    for cable in range(p['cables']):
         start = cable_elongation(p, cable, s['position'])
         end = start + step * _mean_rate(s, p, cable)
         if (start > 0.0) == (end > 0.0):
@@ -349,20 +343,16 @@ def _let_cables_change(s, p, step):
         s['cable_force'][cable] = 0.0
         _solve_with_friction(s, p, step)
         free_end = start + step * _mean_rate(s, p, cable)
-        for row in range(len(response)):
+        for row in range(size):
             response[row] = 0.0
         first = p['cable_first'][cable]
         second = p['cable_second'][cable]
         response[first] += p['cable_first_ratio'][cable]
         response[second] += p['cable_second_ratio'][cable]
-        if s['any_held']:
-            give_to_leaders(s, response)
-        for row in range(len(response)):
+        for row in range(size):
             if _is_stuck(s, row):
                 response[row] = 0.0
-        solve(s['factors'], response, s['idle'])
-        if s['any_held']:
-            follow(s, response, 0.0)
+        solve(s['factors'], response, size)
         compliance = (
             0.5
             * step

@@ -11,7 +11,7 @@ pose, with every flexible connection at once, from the linearised equations
 
 where K holds springs, taut cables and the stiffness of gravity, and the axes are free. Damping is
 shown as the ratio of each mode by itself, shape' D shape / (2 omega); friction and motors are left
-out. What is held does not move: with z' = T y' (see `constraints`) M and K become T' M T and T' K T.
+out.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import yaml
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant import constraints, plant, statics
+from waferbot_plant import plant, statics
 from waferbot_plant.assembly import Behaviour
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
@@ -193,10 +193,7 @@ def coupled_modes(machine: Machine, positions: Mapping[str, float] | None = None
     size = len(machine.coordinates)
     mass = np.zeros((size, size))
     plant.mass_matrix(state, parameters, mass)
-    motions = constraints.free_motions(state, parameters)
-    stiffness = motions.T @ stiffness_at(machine, state, parameters) @ motions
-    squares, shapes = scipy.linalg.eigh(stiffness, motions.T @ mass @ motions)
-    shapes = motions @ shapes
+    squares, shapes = scipy.linalg.eigh(stiffness_at(machine, state, parameters), mass)
     damping = damping_matrix(machine)
     elastic = statics.elastic_stiffness(machine)
     modes = []

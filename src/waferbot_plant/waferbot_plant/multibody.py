@@ -29,12 +29,7 @@ from waferbot_lockstep.compiled import compiled
 
 
 def workspace_fields(links: int, coordinates: int) -> list[tuple]:
-    """
-    Return the dtype fields of the workspace; place 0 of a link array is the base.
-
-    `idle` (n,) is 1 for coordinates that do not move whatever acts on them: of these neither M nor h
-    is asked, and equations are solved without them.
-    """
+    """Return the dtype fields of the workspace; place 0 of a link array is the base."""
     return [
         ('rotation', 'f8', (links + 1, 9)),
         ('point', 'f8', (links + 1, 3)),
@@ -45,7 +40,6 @@ def workspace_fields(links: int, coordinates: int) -> list[tuple]:
         ('composite', 'f8', (links + 1, 10)),
         ('mass_matrix', 'f8', (coordinates, coordinates)),
         ('bias', 'f8', (coordinates,)),
-        ('idle', 'i8', (coordinates,)),
     ]
 
 
@@ -102,15 +96,6 @@ def mass_matrix_and_bias(s, p, position, velocity):
     `s` and `p` are records with the fields above. `mass_matrix` (n, n) is filled in its lower
     triangle; h has the sign of a force on the left-hand side: holding still takes the force h.
     """
-    for row in range(len(s['idle'])):
-        s['idle'][row] = 0
-    mass_matrix_and_bias_of_what_moves(s, p, position, velocity)
-
-
-@compiled
-def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
-    """Compute M and h, but for the rows of coordinates that are `idle`: zero, but for rotors."""
-    idle = s['idle']
     rotation = s['rotation']
     point = s['point']
     motion = s['motion']
@@ -118,7 +103,7 @@ def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
     drift = s['drift']
     wrench = s['wrench']
     composite = s['composite']
-    links = len(p['parent'])
+    links = p['links']
 
     for row in range(9):
         rotation[0, row] = 0.0
@@ -135,7 +120,7 @@ def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
 
     mass_matrix = s['mass_matrix']
     bias = s['bias']
-    coordinates = len(bias)
+    coordinates = p['coordinates']
     for row in range(coordinates):
         bias[row] = 0.0
         for column in range(row):
@@ -152,8 +137,6 @@ def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
             composite[parent, entry] += composite[own, entry]
         for entry in range(6):
             wrench[parent, entry] += wrench[own, entry]
-        if idle[row]:
-            continue
 
         s0, s1, s2 = motion[own, 0], motion[own, 1], motion[own, 2]
         s3, s4, s5 = motion[own, 3], motion[own, 4], motion[own, 5]
@@ -184,9 +167,6 @@ def mass_matrix_and_bias_of_what_moves(s, p, position, velocity):
         above = parent
         while above > 0:
             column = p['coordinate'][above - 1]
-            if idle[column]:
-                above = p['parent'][above - 1]
-                continue
             entry = (
                 ratio
                 * p['ratio'][above - 1]
@@ -226,14 +206,6 @@ def _place_link(s, p, link, position, velocity):
     px = point[parent, 0] + r0 * ox + r1 * oy + r2 * oz
     py = point[parent, 1] + r3 * ox + r4 * oy + r5 * oz
     pz = point[parent, 2] + r6 * ox + r7 * oy + r8 * oz
-    if q == 0.0 and s['idle'][p['coordinate'][link]]:  # as if it were one with its parent
-        for entry in range(9):
-            rotation[own, entry] = rotation[parent, entry]
-        for entry in range(6):
-            twist[own, entry] = twist[parent, entry]
-            drift[own, entry] = drift[parent, entry]
-        point[own, 0], point[own, 1], point[own, 2] = px, py, pz
-        return
     ux, uy, uz = p['axis'][link, 0], p['axis'][link, 1], p['axis'][link, 2]
     ax = r0 * ux + r1 * uy + r2 * uz
     ay = r3 * ux + r4 * uy + r5 * uz
@@ -393,7 +365,7 @@ def kinetic_energy(s, p, velocity):
     """Return the kinetic energy z' M z / 2 in J, after `mass_matrix_and_bias` at that pose."""
     mass_matrix = s['mass_matrix']
     twice = 0.0
-    for row in range(len(velocity)):
+    for row in range(p['coordinates']):
         twice += mass_matrix[row, row] * velocity[row] * velocity[row]
         for column in range(row):
             twice += 2.0 * mass_matrix[row, column] * velocity[row] * velocity[column]
@@ -409,7 +381,7 @@ def gravity_energy(s, p):
     Uses the poses that `mass_matrix_and_bias` left in the workspace.
     """
     energy = 0.0
-    for link in range(len(p['parent'])):
+    for link in range(p['links']):
         for row in range(3):
             moment = p['mass'][link] * s['point'][link + 1, row]
             for column in range(3):
@@ -421,23 +393,19 @@ def gravity_energy(s, p):
 
 
 @compiled
-def factorise(matrix, idle):
+def factorise(matrix, size):
     """
-    Factorise a symmetric positive definite matrix (n, n) in place, A = L' D L, lower triangle.
+    Factorise a symmetric positive definite matrix in place, A = L' D L, lower triangle.
 
-    Without the rows and columns that are `idle` (n,).
+    That of its first `size` rows and columns; the rest is room.
 
     Eliminates from the last row up, children before parents: the zeros between branches of the
     tree then stay zeros, and rows that a link does not touch are skipped (Featherstone, section
     6.5).
     """
-    for pivot in range(len(matrix) - 1, 0, -1):
-        if idle[pivot]:
-            continue
+    for pivot in range(size - 1, 0, -1):
         inverse = 1.0 / matrix[pivot, pivot]
         for row in range(pivot):
-            if idle[row]:
-                continue
             factor = matrix[pivot, row] * inverse
             if factor != 0.0:
                 for column in range(row + 1):
@@ -447,24 +415,14 @@ def factorise(matrix, idle):
 
 
 @compiled
-def solve(factors, vector, idle):
-    """Solve A x = vector (n,) in place with the factors of A from `factorise`; 0 where `idle`."""
-    size = len(vector)
-    for row in range(size):
-        if idle[row]:
-            vector[row] = 0.0
+def solve(factors, vector, size):
+    """Solve A x = vector in place with the factors of A (`size`, `size`) from `factorise`."""
     for row in range(size - 1, 0, -1):
-        if idle[row]:
-            continue
         value = vector[row]
         for column in range(row):
-            if not idle[column]:
-                vector[column] -= factors[row, column] * value
+            vector[column] -= factors[row, column] * value
     for row in range(size):
-        if idle[row]:
-            continue
         value = vector[row] / factors[row, row]
         for column in range(row):
-            if not idle[column]:
-                value -= factors[row, column] * vector[column]
+            value -= factors[row, column] * vector[column]
         vector[row] = value

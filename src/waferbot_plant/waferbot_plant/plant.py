@@ -8,12 +8,14 @@ The plant as the rest of the twin sees it: load a machine, measure it, advance i
     measure(state, parameters, tick, counts, line_currents)
     advance(state, parameters, voltage)
 
-State and parameters are structured arrays of one element whose dtypes follow from the description;
-`measure` and `advance` are compiled for them at the first call and kept on disk.
+State and parameters are structured arrays of one element; `measure` and `advance` are compiled for
+their dtypes at the first call and kept on disk. Arrays in them are longer than what a machine has
+(see `room`): the first so many entries are in use.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,7 +32,6 @@ from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import (
-    constraints,
     current_sensors,
     disturbances,
     elements,
@@ -39,6 +40,7 @@ from waferbot_plant import (
     integrator,
     motors,
     multibody,
+    room,
     spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
@@ -70,13 +72,11 @@ def measure(state, parameters, tick, counts, line_currents):
 @compiled
 def find_imperfections(s, p):
     """
-    Find which parts of the model the parameters ask for: held coordinates, laws of friction and
-    of springs.
+    Find which parts of the model the parameters ask for: laws of friction and of springs.
 
     `advance` does so at the start of a run and then at least every 64 ticks, which is when a change
     of these parameters in a running machine is noticed; a plain machine does not pay for looking.
     """
-    constraints.find_held(s, p)
     friction_laws.find_friction_laws(s, p)
     spring_laws.find_spring_laws(s, p)
 
@@ -172,17 +172,13 @@ def acceleration(state, parameters, force, result):
     s = state[0]
     p = parameters[0]
     generalised_forces(state, parameters, result)
-    for row in range(len(result)):
+    size = p['coordinates']
+    for row in range(size):
         result[row] += force[row]
         for column in range(row + 1):
             s['factors'][row, column] = s['mass_matrix'][row, column]
-    constraints.find_held(s, p)
-    if s['any_held']:
-        constraints.impose(s, s['factors'], result, 0.0)
-    multibody.factorise(s['factors'], s['idle'])
-    multibody.solve(s['factors'], result, s['idle'])
-    if s['any_held']:
-        constraints.follow(s, result, 0.0)
+    multibody.factorise(s['factors'], size)
+    multibody.solve(s['factors'], result, size)
 
 
 @compiled
@@ -219,55 +215,25 @@ class Machine:
         return self.assembly.coordinates
 
     @cached_property
-    def _sizes(self) -> dict[str, int]:
-        """Numbers of elements; one at least of each, without effect, so that no array is empty."""
+    def in_use(self) -> dict[str, int]:
+        """Numbers of the machine's parts."""
         return {
-            'springs': max(1, len(self.assembly.springs)),
-            'cables': max(1, len(self.assembly.cables)),
-            'frictions': max(1, len(self.description.frictions)),
+            'links': len(self.assembly.links),
+            'coordinates': len(self.coordinates),
+            'springs': len(self.assembly.springs),
+            'cables': len(self.assembly.cables),
+            'frictions': len(self.description.frictions),
         }
 
     @cached_property
     def parameter_dtype(self) -> np.dtype:
         """Dtype of the parameters."""
-        links, size = len(self.assembly.links), len(self.coordinates)
-        return np.dtype(
-            [
-                ('step', 'f8'),
-                ('substeps', 'i8'),
-                *multibody.parameter_fields(links, size),
-                *elements.parameter_fields(**self._sizes),
-                *constraints.parameter_fields(self._sizes['springs'], self._sizes['cables'], size),
-                *friction_laws.parameter_fields(self._sizes['frictions']),
-                *spring_laws.parameter_fields(self._sizes['springs']),
-                *motors.PARAMETER_FIELDS,
-                *encoders.PARAMETER_FIELDS,
-                *current_sensors.PARAMETER_FIELDS,
-                ('axis_coordinate', 'i8', (len(AXES),)),
-                ('axis_ratio', 'f8', (len(AXES),)),
-                *disturbances.PARAMETER_FIELDS,
-            ],
-            align=True,
-        )
+        return _parameter_dtype(**room.lengths(self.in_use))
 
     @cached_property
     def state_dtype(self) -> np.dtype:
         """Dtype of the state, which includes the ledgers of energy and the step's workings."""
-        links, size = len(self.assembly.links), len(self.coordinates)
-        return np.dtype(
-            [
-                *integrator.state_fields(size),
-                *motors.STATE_FIELDS,
-                *encoders.STATE_FIELDS,
-                *elements.state_fields(**self._sizes, coordinates=size),
-                *multibody.workspace_fields(links, size),
-                *constraints.state_fields(size),
-                *disturbances.state_fields(size),
-                *friction_laws.state_fields(self._sizes['frictions'], size),
-                *spring_laws.state_fields(self._sizes['springs']),
-            ],
-            align=True,
-        )
+        return _state_dtype(**room.lengths(self.in_use))
 
     def parameters(self) -> NDArray[np.void]:
         """Return the parameters, a structured array of one element."""
@@ -276,6 +242,8 @@ class Machine:
         description = self.description
         p['substeps'] = description.substeps
         p['step'] = self.timing.tick_s / description.substeps
+        for part, number in self.in_use.items():
+            p[part] = number
         self._fill_mechanism(p)
         self._fill_elements(p)
         self._fill_disturbances(p)
@@ -310,7 +278,7 @@ class Machine:
         """Write the links."""
         assembly = self.assembly
         p['gravity'] = self.description.gravity
-        p['rotor_inertia'] = assembly.rotor_inertia
+        p['rotor_inertia'][: len(self.coordinates)] = assembly.rotor_inertia
         for place, link in enumerate(assembly.links):
             parent_point = assembly.links[link.parent].point if link.parent >= 0 else np.zeros(3)
             inertia = link.inertia
@@ -425,6 +393,51 @@ class Machine:
             return self.initial_state(parameters)
 
 
+@functools.cache
+def _parameter_dtype(
+    links: int, coordinates: int, springs: int, cables: int, frictions: int
+) -> np.dtype:
+    """Return the dtype of the parameters of machines in a room."""
+    return np.dtype(
+        [
+            ('step', 'f8'),
+            ('substeps', 'i8'),
+            *room.PARAMETER_FIELDS,
+            *multibody.parameter_fields(links, coordinates),
+            *elements.parameter_fields(springs, cables, frictions),
+            *friction_laws.parameter_fields(frictions),
+            *spring_laws.parameter_fields(springs),
+            *motors.PARAMETER_FIELDS,
+            *encoders.PARAMETER_FIELDS,
+            *current_sensors.PARAMETER_FIELDS,
+            ('axis_coordinate', 'i8', (len(AXES),)),
+            ('axis_ratio', 'f8', (len(AXES),)),
+            *disturbances.PARAMETER_FIELDS,
+        ],
+        align=True,
+    )
+
+
+@functools.cache
+def _state_dtype(
+    links: int, coordinates: int, springs: int, cables: int, frictions: int
+) -> np.dtype:
+    """Return the dtype of the state of machines in a room."""
+    return np.dtype(
+        [
+            *integrator.state_fields(coordinates),
+            *motors.STATE_FIELDS,
+            *encoders.STATE_FIELDS,
+            *elements.state_fields(springs, cables, frictions, coordinates),
+            *multibody.workspace_fields(links, coordinates),
+            *disturbances.state_fields(coordinates),
+            *friction_laws.state_fields(frictions, coordinates),
+            *spring_laws.state_fields(springs),
+        ],
+        align=True,
+    )
+
+
 def fill_readings(state: NDArray[np.void], parameters: NDArray[np.void]) -> None:
     """Fill the encoders' history as if the machine had always stood where it is."""
     encoders.fill_readings(state[0], parameters[0])
@@ -454,7 +467,6 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
         }
         for name, value in values.items():
             p[f'{kind}_{name}'][place] = value
-        p[f'{kind}_held'][place] = element.held
 
 
 def config_folder() -> Path:
@@ -518,7 +530,7 @@ def load_machine(
     Text with line breaks is taken as the description itself, as a recording holds it.
 
     `timing` gives the length of a tick and how many lie between two readings of the encoders.
-    `switches` makes connections `rigid`, `held` or `flexible`, all or by name; `damping` is `calculated`
+    `switches` makes connections `rigid` or `flexible`, all or by name; `damping` is `calculated`
     or `improved`; `overlays` are files or mappings laid over the description in turn. Raises
     `UserError`.
     """

@@ -75,9 +75,9 @@ def state_fields(springs: int) -> list[tuple]:
 
 @compiled
 def find_spring_laws(s, p):
-    """Find which springs are more than linear; one that is held is not asked."""
+    """Find which springs are more than linear."""
     found = False
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         found |= (
             (p['spring_gap'][spring] != 0.0)
             | (p['spring_hardening'][spring] != 0.0)
@@ -87,17 +87,13 @@ def find_spring_laws(s, p):
         )
     s['any_spring_law'] = found
     if found:
-        for spring in range(len(p['spring_gap'])):
-            s['spring_lawful'][spring] = (
-                p['spring_stiffness'][spring] > 0.0
-                and not p['spring_held'][spring]
-                and (
-                    p['spring_gap'][spring] != 0.0
-                    or p['spring_hardening'][spring] != 0.0
-                    or p['spring_error_amplitude'][spring] != 0.0
-                    or p['spring_slack_force'][spring] < math.inf
-                    or p['spring_slip'][spring] < math.inf
-                )
+        for spring in range(p['springs']):
+            s['spring_lawful'][spring] = p['spring_stiffness'][spring] > 0.0 and (
+                p['spring_gap'][spring] != 0.0
+                or p['spring_hardening'][spring] != 0.0
+                or p['spring_error_amplitude'][spring] != 0.0
+                or p['spring_slack_force'][spring] < math.inf
+                or p['spring_slip'][spring] < math.inf
             )
 
 
@@ -265,9 +261,9 @@ def begin_rounds(s, p, step):
     """Linearise all springs with a law about the end of the step expected from the last one."""
     position = s['position']
     end = s['end_position']
-    for row in range(len(position)):
+    for row in range(p['coordinates']):
         end[row] = position[row] + step * s['middle_velocity'][row]
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         if s['spring_lawful'][spring]:
             _linearise(s, p, spring, position, end, step)
 
@@ -275,7 +271,7 @@ def begin_rounds(s, p, step):
 @compiled
 def add_laws(s, p, matrix, right, velocity, step):
     """Put the linearised springs into A and r."""
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         if s['spring_lawful'][spring]:
             first, second = p['spring_first'][spring], p['spring_second'][spring]
             a, b = s['spring_arm_first'][spring], s['spring_arm_second'][spring]
@@ -318,11 +314,11 @@ def end_round(s, p, step, last):
     position = s['position']
     end = s['end_position']
     mean = s['middle_velocity']
-    for row in range(len(position)):
+    for row in range(p['coordinates']):
         mean[row] = s['velocity'][row] + 0.5 * s['velocity_change'][row]
         end[row] = position[row] + step * mean[row]
     fit = True
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         if s['spring_lawful'][spring]:
             used = linearised_force(s, p, spring, mean, step)
             s['spring_force_used'][spring] = used
@@ -345,7 +341,7 @@ def end_round(s, p, step, last):
 @compiled
 def book_laws(s, p, before, after, step):
     """Book work less what is stored as lost, and let springs beyond their limit slip."""
-    for spring in range(len(p['spring_gap'])):
+    for spring in range(p['springs']):
         if not s['spring_lawful'][spring]:
             continue
         begin, end = deflection(p, spring, before), deflection(p, spring, after)

@@ -9,9 +9,7 @@ the motors' forces F are what is left over on their coordinates:
 
 Solved for the other coordinates and F by Newton's method with the elastic stiffness as slope;
 gravity changes the slope by parts in a thousand, so that each iteration gains about three digits.
-Dry friction is left out: it could hold more or less. Held coordinates stand still, and what holds
-them takes what force it needs: with z' = T y' (see `constraints`) the equations are those above
-times T'.
+Dry friction is left out: it could hold more or less.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import constraints, elements, motors, plant, spring_laws
+from waferbot_plant import elements, motors, plant, spring_laws
 from waferbot_plant.plant import Machine
 
 _ITERATIONS = 60
@@ -55,7 +53,7 @@ def settle(
             )
     s = state[0]
     s['velocity'] = 0.0
-    s['position'] = _with_axes_at(machine, positions)
+    s['position'][: len(machine.coordinates)] = _with_axes_at(machine, positions)
     forces = _balance(machine, state, parameters, holding or any(positions.values()))
     s['winding_current'] = 0.0
     if not holding:
@@ -91,7 +89,7 @@ def _held(
 ) -> tuple[NDArray[np.void], dict[str, float]]:
     """Return the state of equilibrium with the axes at `positions`, and the motors' forces."""
     state = np.zeros(1, machine.state_dtype)
-    state[0]['position'] = _with_axes_at(machine, positions)
+    state[0]['position'][: len(machine.coordinates)] = _with_axes_at(machine, positions)
     forces = _balance(machine, state, parameters, True)
     return state, forces
 
@@ -127,20 +125,17 @@ def reactions(
     springs.
 
     Positive where a deflection in the positive sense would load the spring, and for tension.
-    Without those that are held, whose force does not follow from a deflection.
     """
     s, p = state[0], parameters[0]
-    constraints.find_held(s, p)
     spring_laws.find_spring_laws(s, p)
     elements.judge_cables(s, p, s['position'], s['velocity'])
     found = {
         element.name: spring_laws.force_and_arms_now(s, p, place, s['position'], s['velocity'])[0]
         for place, element in enumerate(machine.assembly.springs)
-        if element.connections and not p['spring_held'][place]
+        if element.connections
     }
     for place, element in enumerate(machine.assembly.cables):
-        if not p['cable_held'][place]:
-            found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
+        found[element.name] = elements.cable_tension(s, p, place, s['position'], s['velocity'])
     return found
 
 
@@ -210,16 +205,14 @@ def _balance(
     description = machine.description
     placing = machine.assembly.placing
     size = len(machine.coordinates)
-    leaders = constraints.leaders(state, parameters)
-    given = {leaders[placing[coordinate][0]] for coordinate in description.axes.values()}
-    motions = constraints.free_motions(state, parameters)
-    free = motions[:, [not given.intersection(np.nonzero(motion)[0]) for motion in motions.T]]
+    given = {placing[coordinate][0] for coordinate in description.axes.values()}
+    free = [place for place in range(size) if place not in given]
     axes = [axis for axis in description.axes if axis in description.motors]
     arms = np.zeros((size, len(axes)))
     for column, axis in enumerate(axes):
         row, ratio = placing[description.motors[axis].coordinate]
         arms[row, column] = ratio
-    if not needed and not free.size:
+    if not needed and not free:
         return {}
     forces = np.zeros(len(axes))
     residual = np.zeros(size)
@@ -228,8 +221,8 @@ def _balance(
         plant.generalised_forces(state, parameters, residual)
         if slope is None or state[0]['any_spring_law']:
             stiffness = elastic_stiffness(machine, parameters, state)
-            slope = motions.T @ np.hstack([stiffness @ free, -arms])
-        unbalanced = motions.T @ (residual + arms @ forces)
+            slope = np.hstack([stiffness[:, free], -arms])
+        unbalanced = residual + arms @ forces
         correction, _, rank, _ = np.linalg.lstsq(slope, unbalanced, rcond=1e-14)
         if rank < slope.shape[1] or np.abs(slope @ correction - unbalanced).max() > 1e-6 * (
             1.0 + np.abs(unbalanced).max()
@@ -240,8 +233,8 @@ def _balance(
                 f'{description.name}: no static equilibrium; '
                 'a coordinate is held neither by a motor nor by a spring'
             )
-        state[0]['position'] += free @ correction[: free.shape[1]]
-        forces += correction[free.shape[1] :]
+        state[0]['position'][free] += correction[: len(free)]
+        forces += correction[len(free) :]
         if np.abs(unbalanced).max() < 1e-10 * (1.0 + np.abs(residual).max()):
             break
     return dict(zip(axes, forces.tolist(), strict=True))

@@ -16,8 +16,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -76,7 +75,7 @@ def friction(value):
 @pytest.mark.slow
 @pytest.mark.parametrize(('in_other_log', 'agree'), [(1.5, True), (3.0, False)])
 def test_a_value_that_is_another_in_each_log_is_no_value(in_other_log, agree):
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     finding = Problem(nominal, [log_of(nominal, 'random_x_rotate', 1, friction(1.5))])
     judging = Problem(nominal, [log_of(nominal, 'random_x_rotate', 2, friction(in_other_log))])
     found = fit_causes(finding, (friction(1.0),))

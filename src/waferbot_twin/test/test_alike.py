@@ -23,8 +23,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -41,7 +40,7 @@ def along_the_way(share=0.4):
 
 def log_of(motion):
     """Return the log of a machine with dry friction."""
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     timing = Timing()
     machine = COULOMB.effect.apply(nominal, COULOMB.axis, COULOMB.values)
     noisy = with_noise(machine, nominal, 1.0, np.random.default_rng(SEED))

@@ -9,13 +9,12 @@ import numpy as np
 
 from waferbot_twin.diagnosis.coarseness import coarser_steps
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 
 
 def test_steps_of_readings_are_seen_and_small_ranges_are_not():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     random = np.random.default_rng(3)
     reading = random.integers(-500, 500, (2000, 4)).astype(float)
     reading[:, 1] *= 6.0

@@ -22,8 +22,7 @@ from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
 from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -74,7 +73,7 @@ def test_a_motion_too_large_for_noise_needs_no_noise_free_log(before, after, bey
 @pytest.mark.slow
 def test_a_belt_that_never_slips_shows_by_what_it_gives():
     """A little more or less of its limit changes nothing then: the whole of it has to be asked."""
-    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
     effect = replace(find('belt_slip'), drive_train=False)  # as if the motor had no encoder
     slip = Cause(effect, 'y_rotate', {'force': 9000.0})
     variant = slip.effect.apply(nominal, slip.axis, slip.values)
@@ -93,7 +92,7 @@ def test_what_parts_two_encoders_needs_no_other_proof():
     """Without noise a motor stands on the other flank of its play; the readings show it all the same."""
     seed = 3
     print(f'seed {seed}')
-    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
     play = Cause(find('backlash'), 'y_rotate', {'gap': 1e-3})
     variant = play.effect.apply(nominal, play.axis, play.values)
     twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')

@@ -19,8 +19,7 @@ from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.diagnosis.shortlist import fit_exact
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -29,7 +28,7 @@ AXIS = 'x_rotate'
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def log_of(variant):

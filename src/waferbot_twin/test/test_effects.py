@@ -32,7 +32,6 @@ from waferbot_pmac.experiments import load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects import effects_page, find, library, places
 from waferbot_twin.effects.effect import Values
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.models import load_model
@@ -57,12 +56,9 @@ PLAIN = 3.0
 FAINT = frozenset({('bus_sag', 'y_rotate')})
 """Effects that are felt, but not plainly: this motor takes little power."""
 
-RECOMPILED = frozenset({'cable_second_mode'})
-"""Effects that change the structure of the machine in memory."""
-
 DEPENDENT = (
     {'notch', 'wrong_proportional_gain'},  # both in Ixx30, which is rounded
-    {'cable_slack', 'cable_second_mode'},  # both let go a cable that is held, not equally stiff
+    {'cable_slack', 'cable_second_mode'},  # both let a rigid cable give, not equally stiff
     {'wafer', 'wrong_inertia'},  # what is scaled includes the wafer, or not
     {'wafer', 'centre_of_gravity'},  # what is shifted includes the wafer, or not
 )
@@ -71,7 +67,7 @@ DEPENDENT = (
 @functools.cache
 def nominal(name: str = 'rigid') -> Variant:
     """Return a machine with room for every effect."""
-    return host(Variant.of(load_model(name)))
+    return Variant.of(load_model(name))
 
 
 def every(name: str = 'rigid') -> list[tuple[str, str]]:
@@ -165,8 +161,7 @@ def check_neutral(model: str, name: str, axis: str) -> None:
 
 def check_typical(model: str, name: str, axis: str) -> None:
     found = twin(find(name).apply(nominal(model), axis, {}))
-    same = found.plant_parameters.dtype == settings(nominal(model))[0].dtype
-    assert same == (name not in RECOMPILED)
+    assert found.plant_parameters.dtype == settings(nominal(model))[0].dtype  # compiled already
     least = 0.0 if (name, axis) in FAINT else PLAIN
     assert change(found.advance(TICKS), nominal_signals(model), axis) > least
 
@@ -176,9 +171,7 @@ def test_neutral_is_no_effect(name: str, axis: str) -> None:
     check_neutral('rigid', name, axis)
 
 
-@pytest.mark.parametrize(
-    ('name', 'axis'), [pair for pair in one_axis_each() if pair[0] not in RECOMPILED]
-)
+@pytest.mark.parametrize(('name', 'axis'), one_axis_each())
 def test_typical_is_felt(name: str, axis: str) -> None:
     check_typical('rigid', name, axis)
 
@@ -227,8 +220,8 @@ def test_bounds_are_a_model(name: str, axis: str) -> None:
 
 
 @pytest.mark.parametrize('model', ['rigid', 'simplified'])
-def test_effects_on_a_machine_without_room(model: str) -> None:
-    """Without `host` too, neutral and typical values give descriptions that load, and differ."""
+def test_effects_on_a_whole_machine(model: str) -> None:
+    """Neutral and typical values give descriptions that load, and differ."""
     check_whole_library(Variant.of(load_model(model)))
 
 
@@ -238,7 +231,6 @@ def test_effects_on_other_machines(name: str) -> None:
     text = whole_text(find_description(name))
     variant = Variant(name, yaml.safe_load(text), 'improved', {}, {})
     assert check_whole_library(variant) >= 20
-    assert check_whole_library(host(variant)) >= 20
 
 
 def check_whole_library(variant: Variant) -> int:
@@ -252,24 +244,6 @@ def check_whole_library(variant: Variant) -> int:
             assert not all(same_bits(one, other) for one, other in pairs), (effect.name, axis)
             count += 1
     return count
-
-
-def test_host_moves_like_the_machine_that_it_stands_for() -> None:
-    plain, roomy = twin(Variant.of(load_model('rigid'))), twin(nominal())
-    one, other = plain.advance(TICKS), roomy.advance(TICKS)
-    assert np.abs(one.counts - other.counts).max() <= 1
-    assert np.abs(one.current_command - other.current_command).max() < 0.05
-    assert len(roomy.machine.coordinates) > len(plain.machine.coordinates)
-
-
-def test_host_of_a_host_is_itself() -> None:
-    assert host(nominal()).machine_text == nominal().machine_text
-
-
-def test_host_leaves_a_slot_that_is_in_use() -> None:
-    used = find('coulomb_friction').apply(nominal(), 'x_rotate', {'friction': 1.5})
-    entry = host(used).machine['frictions']['x_rotate_coulomb_friction']
-    assert entry['torque_nm'] == [1.5]
 
 
 def same_data(one: Any, other: Any) -> bool:

@@ -21,7 +21,6 @@ from waferbot_twin.diagnosis.together import NEARLY, far, pays, price_of, take_o
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 
@@ -189,7 +188,7 @@ def test_far_is_smooth_and_large_not_loud():
 
 
 def test_usual_causes_begin_where_a_fit_can_begin():
-    variant = host(Variant.of(load_model('rigid')))
+    variant = Variant.of(load_model('rigid'))
     problem = SimpleNamespace(nominal=variant, touched=lambda effect, axis: (PLANT,))
     taken = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.0})
     begin = {cause.name: cause for cause in usual_causes(problem, library().values(), [taken])}

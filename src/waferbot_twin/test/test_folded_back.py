@@ -17,8 +17,7 @@ from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -29,7 +28,7 @@ SEED = 20261124
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def problem_of(nominal, machine, random):

@@ -11,8 +11,7 @@ from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.diagnose import diagnose
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.effects import find, library
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -48,7 +47,7 @@ def test_a_friction_of_both_directions_is_found_where_the_first_log_shows_one_of
     """One way, what a direction-dependent friction is beside Coulomb's is hardly seen."""
     seed = 1
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect, axis = find('direction_dependent_friction'), 'y_rotate'
     hidden = {'forward': 0.2, 'backward': 0.13}
     timing = Timing()

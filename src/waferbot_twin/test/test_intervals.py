@@ -16,8 +16,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate, standard_errors
 from waferbot_twin.diagnosis.intervals import AS_LIKELY, intervals_95
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -26,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def log_of(nominal, *causes, motion='random_y_rotate', seconds=0.6):

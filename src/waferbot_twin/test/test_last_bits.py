@@ -20,8 +20,7 @@ from waferbot_twin.diagnosis.last_bits import (
 )
 from waferbot_twin.diagnosis.problem import CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -34,7 +33,7 @@ def filtered(time_constant):
 @pytest.mark.parametrize('far_off', [0.0015, 0.1, 3.0])
 def test_a_filter_that_changes_single_bits_is_found_from_an_estimate_that_is_far_off(far_off):
     truth, timing = 4e-4, Timing()
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     variant = apply_all(nominal, [filtered(truth)])
     twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
     twin.commanded = commanded_positions(
@@ -56,7 +55,7 @@ def test_a_filter_that_changes_single_bits_is_found_from_an_estimate_that_is_far
 
 @pytest.mark.slow
 def test_what_also_moves_the_plant_is_left_to_the_fit():
-    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
     twin = Twin(built(nominal, timing), nominal.pmac, nominal.copley, timing, 'rigid')
     problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
     force = Cause(find('constant_force'), 'y_linear', {'force': 1.0})
@@ -66,7 +65,7 @@ def test_what_also_moves_the_plant_is_left_to_the_fit():
 
 @pytest.mark.slow
 def test_a_notch_of_a_few_bits_is_found_where_no_cycle_differs_as_well_as_bits_tell_it():
-    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
     truth = Cause(find('notch'), 'x_rotate', {'depth': 1.6e-5, 'frequency': 43.0})
     variant = apply_all(nominal, [truth])
     twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')

@@ -13,8 +13,7 @@ from waferbot_twin.diagnosis.left_over import LeftOver, axes_that_differ
 from waferbot_twin.diagnosis.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -32,7 +31,7 @@ DEAD_TIME = cause('dead_time:x_rotate', voltage=0.5)
 @pytest.fixture(scope='module')
 def problem():
     """Return a log of a machine with a wrong setting of the controller and one of an amplifier."""
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     variant = apply_all(nominal, [DERIVATIVE, DEAD_TIME])
     timing = Timing()
     twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')

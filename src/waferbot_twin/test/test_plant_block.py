@@ -15,8 +15,7 @@ from waferbot_twin.diagnosis.hypothesis import evaluate
 from waferbot_twin.diagnosis.plant_block import PlantBlock
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -50,7 +49,7 @@ def test_what_gives_next_to_nothing_is_seen_as_what_does_not_give(name, experime
     If the model with a stiff connection were held by more encoders, or pulled at on one side, it would
     explain any log better or worse than the rigid one, whatever gives.
     """
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     record = record_of(nominal, experiment, 0.3)
     block = PlantBlock(record, nominal)
     effect, axis = find(name.split(':')[0]), name.split(':')[1]
@@ -70,7 +69,7 @@ def test_a_motor_is_followed_through_what_joins_it_to_its_load(name):
     """
     seed = 7
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect = find(name)
     variant = effect.apply(nominal, 'y_rotate', effect.typical(nominal, 'y_rotate'))
     record = record_of(variant, 'step', 0.6)
@@ -86,7 +85,7 @@ def test_a_motor_is_followed_through_what_joins_it_to_its_load(name):
 @pytest.mark.slow
 def test_noise_of_readings_does_not_set_a_true_model_ringing():
     """A gearbox that rings at 1.2 kHz, for hundreds of cycles: once the rigid model was as likely."""
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     cause = Cause(find('gearbox_compliance'), 'y_rotate', {'compliance': 2.665e-6})
     machine = apply_all(nominal, (cause,))
     gains = []
@@ -105,7 +104,7 @@ def test_what_could_give_explains_no_drive_that_is_rigid(name, size):
     """A motor that is let go must not be followed better than a rigid one just by its own encoder."""
     seed = 11
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     record = record_of(nominal, 'random_y_rotate', 0.4)
     noise = np.random.default_rng(seed).normal(scale=0.3, size=record.reading.shape)
     problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
@@ -130,7 +129,7 @@ def test_what_could_give_explains_no_drive_that_is_rigid(name, size):
 )
 def test_steps_as_long_as_the_encoders_cycle_show_what_a_cause_changes(name):
     """Half of the time for it; the difference from the exact change is a few percent of its power."""
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     axis = name.split(':')[1]
     block = PlantBlock(record_of(nominal, f'random_{axis}', 0.3), nominal)
     quick = block.in_encoder_ticks()

@@ -19,8 +19,7 @@ from waferbot_twin.diagnosis.problem import PLANT, Problem
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -106,7 +105,7 @@ def test_noise_has_a_period_no_more_often_than_promised():
 def test_lines_of_another_pitch_than_any_in_the_library_are_found():
     seed = 20261202
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect, axis = find('interpolation_error'), 'y_linear'
     hidden = {'cosine': 0.3, 'sine': -0.2, 'period': 137.0}
     random = np.random.default_rng(seed)

@@ -16,7 +16,6 @@ from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.repetition import unrepeated
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 
@@ -26,7 +25,7 @@ GEAR = 48.0
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def log_of(nominal, travel):

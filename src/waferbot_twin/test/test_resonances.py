@@ -27,8 +27,7 @@ from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.spectral_lines import Line, lines
 from waferbot_twin.diagnosis.tuning import TUNING, tuned
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -101,7 +100,7 @@ def log_of(variant, duration_s):
 def test_a_stiff_part_that_rings_is_found_by_its_line(share, seed, folds):
     # The second one rings at the limit: with this noise its line stands out in half of all seeds.
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect, axis = find('belt_compliance'), 'y_rotate'
     (parameter,) = effect.parameters(nominal, axis)
     true = share * parameter.typical
@@ -124,7 +123,7 @@ def test_a_stiff_part_that_rings_is_found_by_its_line(share, seed, folds):
 
 
 def test_a_ring_that_a_fit_has_brought_to_nothing_can_still_be_moved():
-    nominal, effect = host(Variant.of(load_model('rigid'))), find('gearbox_compliance')
+    nominal, effect = Variant.of(load_model('rigid')), find('gearbox_compliance')
     (item,) = effect.parameters(nominal, 'y_rotate')
     none = Cause(effect, 'y_rotate', {'compliance': 0.0}, narrow=('compliance',))
     some = none.with_values({'compliance': item.typical})
@@ -134,7 +133,7 @@ def test_a_ring_that_a_fit_has_brought_to_nothing_can_still_be_moved():
 
 def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(monkeypatch):
     """Gains of 600 and 550 (widths 4 % and 5 %): where it is tried the lower one seems higher."""
-    nominal, effect = host(Variant.of(load_model('rigid'))), find('bearing_radial_compliance')
+    nominal, effect = Variant.of(load_model('rigid')), find('bearing_radial_compliance')
     (item,) = effect.parameters(nominal, 'x_rotate')
     right, wrong = (
         item.typical * math.sqrt(TUNING[place] * TUNING[place + further])

@@ -24,15 +24,14 @@ from waferbot_twin.diagnosis.screening import Screened, candidates
 from waferbot_twin.diagnosis.shortlist import TRIALS, most_promising
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, places
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def log_of(variant, duration_s, experiment='step'):

@@ -20,7 +20,6 @@ from waferbot_twin.diagnosis.offered import offered_effects
 from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
 from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 
@@ -60,7 +59,7 @@ def best_screened(problem: Problem, *names: str, axis: str = 'y_rotate'):
 
 
 def test_an_error_of_teeth_is_found_from_where_the_drive_has_let_go():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect = find('transmission_error')
     true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
     problem = log_of(nominal, true, 'full_stroke_y_rotate')
@@ -76,7 +75,7 @@ def test_an_error_of_teeth_is_found_from_where_the_drive_has_let_go():
 
 
 def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect = find('belt_compliance')
     true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
     problem = log_of(nominal, true, 'random_y_rotate')
@@ -88,7 +87,7 @@ def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
 
 
 def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     true = Cause(find('coarse_quantisation'), 'y_linear', {'step': 16.0})
     problem = log_of(nominal, true, 'step')
     (effect,) = (item for item in offered_effects(problem, []) if item.name == true.effect.name)
@@ -103,7 +102,7 @@ def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
 
 
 def test_whole_steps_are_likelier_of_an_encoder_that_has_nothing_between():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect = find('coarse_quantisation')
     problem = log_of(nominal, Cause(effect, 'y_linear', {'step': 16.0}), 'step')
 
@@ -120,7 +119,7 @@ def test_whole_steps_are_likelier_of_an_encoder_that_has_nothing_between():
 
 
 def test_friction_that_sticks_is_known_from_other_dry_friction_by_what_it_holds():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect = find('direction_dependent_friction')
     true = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
     problem = log_of(nominal, true, 'swept_sine_y_linear')
@@ -132,7 +131,7 @@ def test_friction_that_sticks_is_known_from_other_dry_friction_by_what_it_holds(
 
 
 def test_a_delay_of_two_interrupts_that_sets_a_loop_swinging_is_tried_as_two():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     true = Cause(find('command_delay'), 'x_rotate', {'delay': 2.0})
     problem = log_of(nominal, true, 'step', noise=0.0)
     first = best_screened(

@@ -14,8 +14,7 @@ from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause, Problem, a
 from waferbot_twin.diagnosis.screening import candidates
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -36,7 +35,7 @@ def quiet(what, done, total):
 
 @pytest.fixture(scope='module')
 def problem():
-    nominal, timing = host(Variant.of(load_model('rigid'))), Timing()
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
     hidden = (
         Cause(find('wrong_bias'), 'x_rotate', {'difference': 40.0}),
         Cause(find('coulomb_friction'), 'x_rotate', {'friction': 0.5}),

@@ -13,8 +13,7 @@ from waferbot_twin.diagnosis.left_over import LeftOver
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.still_ringing import still_ringing
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 
@@ -25,7 +24,7 @@ FRICTION = Cause(find('coulomb_friction'), 'y_linear', {'friction': 1.0})
 
 @pytest.fixture(scope='module')
 def problem():
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     timing = Timing()
     twin = Twin(built(nominal, timing), nominal.pmac, nominal.copley, timing, 'rigid')
     twin.commanded = commanded_positions(

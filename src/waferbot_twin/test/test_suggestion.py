@@ -17,7 +17,6 @@ from waferbot_twin.diagnosis.likeness import likeness
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, strokes
@@ -31,7 +30,7 @@ TIMING = Timing()
 
 @pytest.fixture(scope='module')
 def rigid():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def cause(variant, name, axis, **values):

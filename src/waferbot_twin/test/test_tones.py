@@ -19,8 +19,7 @@ from waferbot_twin.diagnosis.screening import candidates, screen, signatures
 from waferbot_twin.diagnosis.tones import CHANCE, at_tones, lasting_tones, tones
 from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -97,7 +96,7 @@ def test_noise_that_wanders_slowly_has_no_lasting_tone():
 def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     seed = 20261127
     print(f'seed {seed}')
-    nominal = host(Variant.of(load_model('rigid')))
+    nominal = Variant.of(load_model('rigid'))
     effect, axis = find('floor_vibration'), 'y_linear'
     hidden = {'cosine': 0.05, 'sine': -0.08, 'frequency': 17.3}
     timing = Timing()

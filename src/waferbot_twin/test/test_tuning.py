@@ -18,8 +18,7 @@ from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.spectral_lines import lines
 from waferbot_twin.diagnosis.tuning import screen_damped
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.synthesis import with_noise
@@ -40,7 +39,7 @@ def quiet(*_):
 
 @pytest.fixture(scope='module')
 def nominal():
-    return host(Variant.of(load_model('rigid')))
+    return Variant.of(load_model('rigid'))
 
 
 def problem_of(nominal, variant, experiment, seed):

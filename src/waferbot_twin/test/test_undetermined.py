@@ -11,14 +11,13 @@ from waferbot_twin.diagnosis.left_over import LeftOver
 from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.undetermined import undetermined
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 
 
 @pytest.fixture(scope='module')
 def problem():
-    return Problem(host(Variant.of(load_model('rigid'))), [])
+    return Problem(Variant.of(load_model('rigid')), [])
 
 
 def cogging(problem, **values):

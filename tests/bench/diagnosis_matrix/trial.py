@@ -43,9 +43,8 @@ from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.report import as_dict
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
-from waferbot_twin.effects.host import built, host
 from waferbot_twin.effects.places import moving_inertia
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.writer import as_json
@@ -68,12 +67,8 @@ FLAGS = slice(12, 15)
 
 @functools.cache
 def nominal(model: str) -> Variant:
-    """
-    Return the model with room for all effects.
-
-    It moves as the model does, but for rounding, and is compiled only once.
-    """
-    return host(Variant.of(load_model(model)))
+    """Return the model that logs are diagnosed against."""
+    return Variant.of(load_model(model))
 
 
 def log(variant: Variant, model: str, noise: float, experiment: str, seed: int) -> Record:

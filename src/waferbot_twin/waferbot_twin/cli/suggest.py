@@ -55,7 +55,6 @@ def execute(options: argparse.Namespace) -> int:
     """Rate the experiments, print the table, write the best."""
     from waferbot_lockstep.timing import Timing
     from waferbot_twin.diagnosis.problem import apply_all
-    from waferbot_twin.effects.host import host
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
@@ -71,7 +70,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.workers < 1:
         raise UserError(f'--workers is {options.workers}; it must be at least 1')
     report = {} if options.report is None else read_report(options.report)
-    variant = host(Variant.of(load_model(options.model or report.get('model', 'rigid'))))
+    variant = Variant.of(load_model(options.model or report.get('model', 'rigid')))
     group = (
         of_report(report, variant, options.cause)
         if options.report is not None

@@ -73,7 +73,7 @@ def run_checks(seed: int) -> list[Check]:
     checks = []
     total = 2 + 2 * len(MODELS)
     if not compiled_before():
-        say('compiling three models: once for these sources, about a minute, then kept on disk')
+        say('compiling the model: once for these sources, half a minute, then kept on disk')
     with progress_bar('verifying') as progress:
         differences = verification.open_loop_differences(load_machine('rigid'))
         for axis, percent in differences.items():

@@ -22,8 +22,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_plant.encoders import find_positions
 from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.diagnosis.record import Record
-from waferbot_twin.effects.host import built
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
 
 

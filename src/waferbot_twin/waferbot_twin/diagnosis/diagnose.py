@@ -20,7 +20,6 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.alike import Alike, alike, confidence_in, weighed_by_evidence
-from waferbot_twin.diagnosis.compile_ahead import compile_ahead
 from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
 from waferbot_twin.diagnosis.from_recording import record_of
 from waferbot_twin.diagnosis.gain import AxisGain, gains
@@ -35,7 +34,6 @@ from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.effects.host import host
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.bags import is_bag, read_bag
 from waferbot_twin.logs.load import load_log
@@ -153,16 +151,14 @@ def diagnose(
         )
     notes += list(dict.fromkeys(n for record in (*finding, *judging) for n in record.notes))
     nominal = sized_by(finding, nominal)
-    roomy = host(nominal)
-    problem, judge = Problem(roomy, finding), Problem(roomy, judging)
+    problem, judge = Problem(nominal, finding), Problem(nominal, judging)
     effects = offered_effects(problem, without)
-    compile_ahead(problem, effects, workers)
     result = shown(problem, judge, effects, progress, workers)
     problem, judge, found, rest = result.problem, result.judge, result.found, result.rest
     notes += result.notes
     causes = (*found.found.causes, *rest.tables)
     extended = apply_all(nominal, causes)
-    axis_gains = gains(roomy, apply_all(roomy, causes), judge.records)
+    axis_gains = gains(nominal, extended, judge.records)
     notes += _stands_for(extended, found.found.causes)
     notes += _out_of_step(found.found.causes, axis_gains)
     where = _where(problem, found)

@@ -63,8 +63,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.diagnosis.record import Array, Record, common_step
 from waferbot_twin.diagnosis.whitening import Noise
-from waferbot_twin.effects.host import built
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 
 OBSERVER_HZ = 80.0
 OBSERVER_DAMPING = 0.7
@@ -307,8 +306,10 @@ class PlantBlock:
             travel = abs(slope) * (few[-1] - few[0]) * step_s
             if travel < 3.0 * self.record.resolution[place]:  # it stands
                 slope, start = 0.0, float(np.mean(reading[few]))
-            s['position'] += together[place] * (start / per_unit - s['position'][coordinate])
-            s['velocity'] += together[place] * (slope / per_unit - s['velocity'][coordinate])
+            missing = start / per_unit - s['position'][coordinate]
+            s['position'][: together.shape[1]] += together[place] * missing
+            missing = slope / per_unit - s['velocity'][coordinate]
+            s['velocity'][: together.shape[1]] += together[place] * missing
         encoders.fill_readings(s, p)
 
 
@@ -331,10 +332,10 @@ def _standing(description: Description, p: np.void, together: Array) -> NDArray[
 
 
 def _joint(p: np.void, one: int, other: int) -> int:
-    """Return the spring that joins two coordinates that are not one; -1 if none does, or it is held."""
-    ends = zip(p['spring_first'], p['spring_second'], p['spring_held'], strict=True)
-    for spring, (first, second, held) in enumerate(ends):
-        if one != other and {int(first), int(second)} == {one, other} and not held:
+    """Return the spring that joins two coordinates that are not one; -1 if none does."""
+    for spring in range(p['springs']):
+        ends = {int(p['spring_first'][spring]), int(p['spring_second'][spring])}
+        if one != other and ends == {one, other}:
             return spring
     return -1
 

@@ -2,8 +2,7 @@
 """
 Where effects put friction: a slot of its own on each axis for each of them.
 
-A slot with resistance zero is without effect. A machine that has all slots (see `host`) therefore
-has the same structure in memory whatever friction an effect adds, and need not be compiled again.
+So effects of several kinds add up, and none touches a friction that the model has itself.
 """
 
 from __future__ import annotations
@@ -30,12 +29,8 @@ ON_MOTOR = ('gearbox_friction', 'load_dependent_friction')
 ON_COUNTERWEIGHT = ('counterweight_friction',)
 """Effects with a slot on the coordinate of the counterweight, on axes that have one."""
 
-DAMPING = ('gearbox_damping', 'viscous_friction')
-"""Effects whose slot is a viscous damper."""
-
 OF_GEARBOX = ('gearbox_damping', 'gearbox_friction')
 """Effects with a slot only where a transmission is between motor and axis."""
-
 
 STICKS = (0.3, 1.0)
 """
@@ -87,20 +82,6 @@ def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str
         'damping_nm_s_rad' if turns else 'damping_n_s_m': damping,
     }
     return {'dampers': {f'{axis}_{effect}': entry}}
-
-
-def slots_of(variant: Variant, axis: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the effects that have a slot on an axis: of dry friction, and of damping."""
-    lacks: set[str] = set()
-    if axis not in places.geared_axes(variant):
-        lacks |= set(OF_GEARBOX)
-    if axis not in places.counterweight_axes(variant):
-        lacks |= set(ON_COUNTERWEIGHT)
-    dry, viscous = (
-        tuple(effect for effect in effects if effect not in lacks)
-        for effects in ((*ON_AXIS, *ON_MOTOR, *ON_COUNTERWEIGHT), DAMPING)
-    )
-    return dry, viscous
 
 
 def slots(axis: str) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ that every engine runs, and a file that every node loads.
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -146,10 +147,13 @@ class Variant:
 
 def with_rigid(description: Description, names: Iterable[str]) -> Description:
     """Return a description in which these connections do not give."""
-    rigid = {
-        name: replace(description.connections[name], flexible=False, held=False) for name in names
-    }
+    rigid = {name: replace(description.connections[name], flexible=False) for name in names}
     return replace(description, connections={**description.connections, **rigid})
+
+
+def built(variant: Variant, timing: Timing) -> Machine:
+    """Return the machine of a variant; the last few are kept: a variant meets several logs."""
+    return _built(Itself(variant), timing)
 
 
 class Itself:
@@ -163,6 +167,11 @@ class Itself:
 
     def __hash__(self) -> int:
         return id(self.variant)
+
+
+@functools.lru_cache(maxsize=4)
+def _built(variant: Itself, timing: Timing) -> Machine:
+    return variant.variant.build(timing)
 
 
 class _WithoutAliases(yaml.SafeDumper):

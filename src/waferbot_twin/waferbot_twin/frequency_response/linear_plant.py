@@ -16,7 +16,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from waferbot_lockstep.timing import Timing
-from waferbot_plant import constraints
 from waferbot_plant.modes import damping_matrix, stiffness_at
 from waferbot_plant.plant import mass_matrix
 from waferbot_twin.effects.places import coordinate, motor_coordinate, motor_ratio
@@ -41,19 +40,18 @@ def position_over_force(
     size = len(machine.coordinates)
     mass = np.zeros((size, size))
     mass_matrix(state, parameters, mass)
-    motions = constraints.free_motions(state, parameters)
     pushed, read = np.zeros(size), np.zeros(size)
     placing = machine.assembly.placing
     row, ratio = placing[motor_coordinate(variant, axes[0])]
     pushed[row] = ratio / motor_ratio(variant, axes[0])
     row, ratio = placing[coordinate(variant, axes[1])]
     read[row] = ratio
-    parts = [
-        motions.T @ matrix @ motions
-        for matrix in (mass, damping_matrix(machine), stiffness_at(machine, state, parameters))
-    ]
     omega = 2.0 * np.pi * frequency_hz[:, None, None]
-    dynamic = parts[2] + 1j * omega * parts[1] - omega**2 * parts[0]
-    right = np.broadcast_to((motions.T @ pushed)[:, None], (*dynamic.shape[:2], 1))
-    response = np.linalg.solve(dynamic, right)[..., 0] @ (motions.T @ read)
+    dynamic = (
+        stiffness_at(machine, state, parameters)
+        + 1j * omega * damping_matrix(machine)
+        - omega**2 * mass
+    )
+    right = np.broadcast_to(pushed[:, None], (*dynamic.shape[:2], 1))
+    response = np.linalg.solve(dynamic, right)[..., 0] @ read
     return np.asarray(response, np.complex128)

@@ -30,8 +30,7 @@ from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.effects.host import built
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.identification.solving import least_squares
 from waferbot_twin.synthesis import with_noise

@@ -284,5 +284,5 @@ def _positions(machine: Machine, cause: Cause, candidate: Candidate) -> dict[str
     rows = []
     for _ in range(int(candidate.experiment.duration_s / SAMPLED_S)):
         twin.advance(ticks)
-        rows.append(twin.plant_state[0]['position'].copy())
+        rows.append(twin.plant_state[0]['position'][: len(twin.machine.coordinates)].copy())
     return dict(zip(twin.machine.coordinates, np.array(rows).T, strict=True))
