@@ -177,13 +177,27 @@ def screen(
     rivals: Sequence[Cause],
     of_rivals: Sequence[Change | None],
     of_base: Sequence[Signature],
+    workers: int = 1,
 ) -> list[Screened]:
     """Fit every rival linearly, each beside the causes of `base`; best first."""
+    asked = [pair for pair in zip(rivals, of_rivals, strict=True) if pair[1] is not None]
+    chunks = [asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK)]
+    pool = Parallel(n_jobs=workers if len(chunks) > 1 else 1)
+    parts = pool(delayed(_screen)(problem, base, chunk, of_base) for chunk in chunks)
+    found = [item for part in parts for item in part]
+    return sorted(found, key=lambda item: (-item.score, item.cause.name))
+
+
+def _screen(
+    problem: Problem,
+    base: Hypothesis,
+    asked: Sequence[tuple[Cause, Change]],
+    of_base: Sequence[Signature],
+) -> list[Screened]:
     found = []
-    for rival, change in zip(rivals, of_rivals, strict=True):
-        own = change.signature if change else {}
-        shown = {block: matrix for block, matrix in own.items() if matrix.any()}
-        if not change or not shown:
+    for rival, change in asked:
+        shown = {block: matrix for block, matrix in change.signature.items() if matrix.any()}
+        if not shown:
             continue
         parameters = rival.free
         whole = _tried_as_a_whole(problem, rival)
@@ -217,7 +231,7 @@ def screen(
             possible = _possible(problem, rival, value)
         if possible:
             found.append(Screened(rival, gain - parameters * math.log(base.samples), value))
-    return sorted(found, key=lambda item: (-item.score, item.cause.name))
+    return found
 
 
 def _gain_as_tried(problem: Problem, base: Hypothesis, shown: Signature) -> float:

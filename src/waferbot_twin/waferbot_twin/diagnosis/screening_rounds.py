@@ -130,9 +130,8 @@ class Rounds:
         }
         if unknown:
             causes = list(unknown.values())
-            found = screen(
-                self.problem, base, causes, changes_of(causes), self._signatures_of(base)
-            )
+            changes, of_base = changes_of(causes), self._signatures_of(base)
+            found = screen(self.problem, base, causes, changes, of_base, self.workers)
             by_values = {_values(item.cause): item for item in found}
             self._screened |= {key: by_values.get(_values(unknown[key])) for key in unknown}
         known = (self._screened[key] for key in asked)

@@ -40,6 +40,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_twin.diagnosis.filtering import filtered
+
 Array = NDArray[np.float64]
 
 
@@ -84,9 +86,9 @@ class PredictionError:
 
     def __call__(self, channels: Sequence[Array], place: int) -> Array:
         """Return channel number `place`, (N,) or (N, k), filtered, without its first p samples."""
-        left = _filter(self.own, channels[place])
+        left = filtered(self.own, channels[place])
         if self.beside:
-            left = left + _filter(self.other, channels[place + self.beside])
+            left += filtered(self.other, channels[place + self.beside])
         return left
 
 
@@ -96,16 +98,6 @@ class Colour:
 
     error: PredictionError
     deviation: float
-
-
-def _filter(taps: Array, channel: Array) -> Array:
-    """Return the sums over k of taps[k] x[n - k], n = p ... N - 1, of every column of (N,) or (N, k)."""
-    if channel.ndim == 1:
-        return np.convolve(channel, taps, 'valid')
-    left = np.empty((len(channel) - len(taps) + 1, channel.shape[1]))
-    for place, column in enumerate(channel.T):
-        left[:, place] = np.convolve(column, taps, 'valid')
-    return left
 
 
 RIDGE = 1e-10
