@@ -397,6 +397,20 @@ def test_what_is_not_right_says_where_the_true_model_itself_wins():
     assert (row['cases'], row['truth_wins']) == (2, 1)
 
 
+def test_what_logs_for_judging_could_not_show_is_counted_apart():
+    lines = [
+        line('single-3', 'missed', 3.0, judging_size=0.9),
+        line('single-3', 'missed', 3.0, judging_size=1.1),
+        line('single-3', 'right', 3.0, judging_size=5.0),
+        line('single-3', 'crashed', 3.0),
+        line('single-3', 'left out', 3.0),
+    ]
+    found = summary.summarise(lines)
+    assert found['groups']['single-3']['right']['cases'] == 4
+    shown = found['shown_to_judges']['single-3']
+    assert (shown['hits'], shown['cases']) == (1, 3)
+
+
 def test_a_twin_counts_by_what_becomes_of_it_when_it_is_unknown_too():
     lines = [
         line('unknown', 'twin', 10.0, without_twins={'outcome': 'right'}),

@@ -75,6 +75,12 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
             }
             for name in GROUPS
         },
+        'shown_to_judges': {
+            name: share(
+                [line for line in of[name] if line.get('judging_size', 1.0) >= 1.0], is_named
+            )
+            for name in ('single-10', 'single-3')
+        },
         'false_alarms': share(of['nothing'], lambda line: line['outcome'] == 'false alarm'),
         'wrong_and_sure': share(
             of['single-10'] + of['single-3'], lambda line: line.get('wrong_and_sure', False)
@@ -207,6 +213,7 @@ def aims(found: dict[str, Any]) -> list[tuple[str, float | None, str, float, int
     rows = [
         of('named at 10 x', groups['single-10']['right'], 'at least', 0.97),
         of('named at 3 x', groups['single-3']['right'], 'at least', 0.90),
+        of('and logs for judging show it', found['shown_to_judges']['single-3'], 'at least', 0.90),
         of('wrong with high confidence', found['wrong_and_sure'], 'at most', 0.02),
         of('false alarms', found['false_alarms'], 'at most', 0.02),
         of('both of two named', groups['two']['right'], 'at least', 0.80),
