@@ -24,7 +24,7 @@ COLOURS = {
 SHOWN = 18
 """How many confusions and parameters fit."""
 
-LONGEST = 105
+LONGEST = 84
 """Characters that fit beside a confusion."""
 
 
@@ -115,5 +115,6 @@ def _confusions(panel: Any, found: dict[str, Any]) -> None:
         ).set_in_layout(False)  # fmt: skip
     panel.set_yticks([])
     panel.invert_yaxis()
+    panel.xaxis.get_major_locator().set_params(integer=True)
     panel.set_xlabel('cases')
     panel.set_title('Not right: hidden → reported')
