@@ -79,6 +79,21 @@ def test_a_drive_that_is_right_is_quiet_whatever_the_mechanism_is(nominal, hidde
         assert rms(left) < CURRENT_NOISE_A / np.sqrt(cycle), channel
 
 
+def test_readings_that_are_late_are_not_missed_at_the_end_of_a_log(nominal):
+    """Where X-Rotate was in the last ticks, an encoder this late would show behind the log's end."""
+    late = find('encoder_delay').apply(nominal, 'x_rotate', {'delay': 8.0})
+    record = log(late)
+    speed = np.diff(record.reading[-20:, AXES.index('x_rotate')])
+    assert abs(speed.mean()) > 1.0  # it moves there
+    cycle = record.timing.servo_divider
+    models = (late, nominal)
+    true, wrong = (residuals(WindingsBlock, record, nominal, model) for model in models)
+    for line in ('x_rotate line 1', 'x_rotate line 2'):
+        assert rms(true[line]) < 1.1 * CURRENT_NOISE_A / np.sqrt(cycle)
+        assert np.abs(true[line][-8:]).max() < 5.0 * CURRENT_NOISE_A / np.sqrt(cycle)
+        assert rms(wrong[line]) > 1.5 * rms(true[line])
+
+
 @pytest.mark.parametrize('block', [WindingsBlock, CurrentLoopBlock])
 def test_windings_are_not_moved_by_an_encoder_with_large_steps(nominal, block):
     """Steps of the position would be errors k dx / L of the current that other causes explain."""

@@ -35,7 +35,7 @@ from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES
-from waferbot_plant import current_sensors, motors, windings
+from waferbot_plant import current_sensors, encoders, motors, windings
 from waferbot_twin.diagnosis.motor_motion import MotorMotion
 from waferbot_twin.diagnosis.record import Array, Record, common_step, mean_over_ticks
 from waferbot_twin.diagnosis.whitening import Noise
@@ -58,6 +58,12 @@ FLOOR_A = 1e-4
 SETTLING_S = 0.05
 """What is left out at the beginning of a log: several time constants L/R of usual motors."""
 
+UNREAD = encoders.LONGEST_DELAY
+"""
+Cycles of the encoders that are left out at the end of a log: an encoder that is late shows only behind
+it where the motor was then. As many for every model, so that all are judged by the same samples.
+"""
+
 TOO_COARSE = 8
 """
 Steps of an encoder, counts, from which on windings are not moved by it: the steps would seem to be
@@ -77,7 +83,9 @@ class _Lines:
         current = record.terminals.current
         self.current = np.nan_to_num(current)
         self._timing = record.timing
-        self._first_s = max(SETTLING_S, record.judged_from_s)
+        first = round(max(SETTLING_S, record.judged_from_s) * self._timing.servo_hz)
+        unread = UNREAD * self._timing.encoder_divider
+        self._judged = slice(first, (len(current) - unread) // self._timing.servo_divider)
         self._columns = [
             LINES * place + line
             for place in places
@@ -94,16 +102,14 @@ class _Lines:
         """Return the time of every mean, s from the log's beginning."""
         timing = self._timing
         cycles = np.arange(len(self.current) // timing.servo_divider)
-        first = round(self._first_s * timing.servo_hz)
-        return np.asarray((cycles[first:] + 0.5) / timing.servo_hz)
+        return np.asarray((cycles[self._judged] + 0.5) / timing.servo_hz)
 
     def means(self, left: Array) -> list[Array]:
         """Return the means over servo cycles of what is left over (ticks, 6), where it is judged."""
         divider = self._timing.servo_divider
         cycles = len(left) // divider
         means = left[: cycles * divider].reshape(cycles, divider, -1).mean(axis=1)
-        first = round(self._first_s * self._timing.servo_hz)
-        return [means[first:, column] for column in self._columns]
+        return [means[self._judged, column] for column in self._columns]
 
 
 class _OfLines:

@@ -5,7 +5,8 @@ Where the motors were at every tick, from the counts of their encoders.
 Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
 counts have, is an error k dx / L of the current. Positions are smoothed by a polynomial over `SMOOTHED`
 rows (Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond),
-brought from when they were published to when they were read, and joined by a cubic spline.
+brought from when they were published to when they were read, and joined by a cubic spline. The last
+readings of a log are published behind its end: there a motor goes on as fast as it last did.
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
 procedures, Analytical Chemistry 36(8), 1964.
@@ -59,5 +60,9 @@ class MotorMotion:
                 continue
             motor = p['encoder_coordinate'][encoder]
             late = p['encoder_delay'][encoder] + p['delay_fraction'][encoder]
-            position[:, motor] = CubicSpline(np.arange(len(read)), read[:, motor])(rows + late)
+            last = len(read) - 1
+            behind = np.maximum(rows + late - last, 0.0)
+            speed = (read[last, motor] - read[last - SMOOTHED + 1, motor]) / (SMOOTHED - 1)
+            spline = CubicSpline(np.arange(len(read)), read[:, motor])
+            position[:, motor] = spline(rows + late - behind) + speed * behind
         return position
