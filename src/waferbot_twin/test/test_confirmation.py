@@ -25,6 +25,7 @@ from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
+from waferbot_twin.synthesis import noise
 
 
 @pytest.mark.parametrize(
@@ -49,8 +50,8 @@ def test_what_the_plant_shows_does_not_count_as_currents():
 
 def leaving(motion, causes=()):
     """Return a hypothesis that leaves a slow motion of this size, counts, over in noise of one."""
-    noise = np.random.default_rng(20261129).normal(size=4000)
-    left = [motion * np.sin(np.linspace(0.0, 60.0, 4000)) + noise]
+    white = np.random.default_rng(20261129).normal(size=4000)
+    left = [motion * np.sin(np.linspace(0.0, 60.0, 4000)) + white]
     return Hypothesis(causes, {PLANT: left}, {PLANT: likelihood(left, [Noise(0.1, 24)])})
 
 
@@ -88,6 +89,26 @@ def test_a_belt_that_never_slips_shows_by_what_it_gives():
 
 
 @pytest.mark.slow
+def test_an_encoder_that_is_late_by_several_readings_gains_what_it_should():
+    """Windings feel a speed: the slope at eight readings is not an eighth of what they do."""
+    seed = 20261124
+    print(f'seed {seed}')
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
+    late = Cause(find('encoder_delay'), 'x_rotate', {'delay': 8.0})
+    variant = late.effect.apply(nominal, late.axis, late.values)
+    noisy = variant.with_overlay(noise(nominal, 0.5, seed, np.random.default_rng(seed)))
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('random_x_rotate'), twin.servo_parameters, timing.servo_hz
+    )
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.5)))])
+    shown = caused_by_command(problem, evaluate(problem), evaluate(problem, (late,)))
+    assert shown.gain_in_currents > 100.0
+    assert shown.gain_in_currents > 0.8 * shown.expected_in_currents
+    assert not _too_little(shown)
+
+
+@pytest.mark.slow
 def test_what_parts_two_encoders_needs_no_other_proof():
     """Without noise a motor stands on the other flank of its play; the readings show it all the same."""
     seed = 3
@@ -100,8 +121,8 @@ def test_what_parts_two_encoders_needs_no_other_proof():
         load_experiment('step'), twin.servo_parameters, timing.servo_hz
     )
     record = record_of_signals('log', twin.advance(timing.ticks(0.4)))
-    noise = np.random.default_rng(seed).normal(scale=0.5, size=record.reading.shape)
-    record = replace(record, reading=np.round(record.reading + noise))
+    shaken = np.random.default_rng(seed).normal(scale=0.5, size=record.reading.shape)
+    record = replace(record, reading=np.round(record.reading + shaken))
     problem = Problem(nominal, [record])
     assert problem.sees_both_ends('y_rotate')
     assert not problem.sees_both_ends('x_rotate')  # one encoder for both

@@ -23,7 +23,7 @@ from waferbot_twin.diagnosis.hypothesis import (
     whole_change,
 )
 from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Problem
+from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Cause, Problem
 from waferbot_twin.diagnosis.together import NEARLY, far_channels, pays
 
 TELLS = 15.0
@@ -174,6 +174,12 @@ def _beyond_noise(base: Hypothesis, more: Hypothesis) -> bool:
     )
 
 
+def _is_one_number_in_currents(problem: Problem, cause: Cause) -> bool:
+    """Return whether a cause has one free parameter, and changes what measures currents."""
+    shown = set(problem.touched(cause.effect, cause.axis))
+    return cause.free == 1 and not shown.isdisjoint(CURRENTS)
+
+
 @dataclass(frozen=True)
 class ByCommand:
     """
@@ -193,9 +199,11 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
     Ask whether the last cause of `more` shows in what the *command* made it do, not only in noise.
 
     Its signature is taken from the noise-free log of `more` and fitted to the residuals of `base` in the
-    logs of `problem`. What it should gain is found by adding it, as large as in `more`, to what that fit
-    leaves over: noise with a large effect in it has another colour and variance, and the logarithm of
-    its likelihood falls much less than by the square of the effect.
+    logs of `problem`: slopes, or the change as a whole where that is one number in measured currents. An
+    encoder that is late by several readings does not do several times what one reading does. What it
+    should gain is found by adding it, as large as in `more`, to what that fit leaves over: noise with a
+    large effect in it has another colour and variance, and the logarithm of its likelihood falls much
+    less than by the square of the effect.
 
     Blocks whose output follows from their input to the last bit need no such protection, whatever
     moved them: what they gain counts as it is. So does what makes the machine ring: it is the noise in
@@ -216,7 +224,7 @@ def caused_by_command(problem: Problem, base: Hypothesis, more: Hypothesis) -> B
         gained = 2.0 * (more.log_likelihood - base.log_likelihood)
         return ByCommand(gained, gained)
     ideal = problem.ideal(more.causes) or problem
-    if cause.effect.threshold:
+    if cause.effect.threshold or _is_one_number_in_currents(problem, cause):
         own = whole_change(ideal, evaluate(ideal, more.causes[:-1]), more.causes)
         change = np.ones(1)
     else:
