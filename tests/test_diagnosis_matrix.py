@@ -32,11 +32,11 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.from_recording import record_of_recording
 from waferbot_twin.effects import find
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_recording
 from waferbot_twin.synthesis import synthesize
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -18,14 +18,14 @@ from waferbot_twin.diagnosis.alike import (
     parameters_told,
     weighed_by_evidence,
 )
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.synthesis import with_noise
 
 SEED = 20261203

@@ -17,14 +17,14 @@ from waferbot_twin.diagnosis.confirmation import (
     _too_little,
     caused_by_command,
 )
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.models import load_model
+from waferbot_twin.noise_model.prediction_error import Noise, likelihood
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 from waferbot_twin.synthesis import noise
 
 

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, minimize
 
-from waferbot_twin.diagnosis.fitting import USUAL, Linear, fit_causes, names_of, without
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import PLANT, Cause
 from waferbot_twin.diagnosis.together import NEARLY, far, pays, price_of, take_out, usual_causes
-from waferbot_twin.diagnosis.whitening import Noise, likelihood
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.gauss_newton import USUAL, Linear, fit_causes, names_of, without
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.models import load_model
+from waferbot_twin.noise_model.prediction_error import Noise, likelihood
+from waferbot_twin.residuals.problem import PLANT, Cause
 
 SEED = 20
 TIME_S = np.linspace(0.0, 1.0, 400)

@@ -12,14 +12,14 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.following import _along_the_way, axes_that_follow
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Problem
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.synthesis import with_noise
 
 SEED = 20261128

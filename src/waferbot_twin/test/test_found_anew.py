@@ -9,11 +9,11 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.diagnose import diagnose
-from waferbot_twin.diagnosis.from_recording import record_of_signals
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.synthesis import with_noise
 
 ONE_WAY = """

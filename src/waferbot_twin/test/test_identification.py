@@ -13,9 +13,6 @@ from scipy.signal import lfilter
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.problem import PLANT, Problem
-from waferbot_twin.diagnosis.whitening import Noise
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.identification.conditioning import conditioning, in_words
@@ -25,6 +22,9 @@ from waferbot_twin.identification.named_parameters import NamedParameter, parse,
 from waferbot_twin.identification.report import as_dict
 from waferbot_twin.identification.whiteness import whiteness
 from waferbot_twin.models import load_model
+from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import PLANT, Problem
 from waferbot_twin.synthesis import noise
 
 WIDE = math.log(10.0)

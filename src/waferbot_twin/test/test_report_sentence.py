@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import pytest
 
 from waferbot_twin.diagnosis.diagnose import FoundCause
-from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.report import sentence
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause
 
 
 @pytest.fixture(scope='module')

@@ -10,12 +10,12 @@ import pytest
 
 from waferbot_twin.diagnosis import rivalry
 from waferbot_twin.diagnosis.alike import Weighed
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.diagnosis.search_state import Rival, Score, Search, preferred
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause
 
 SAMPLES = 10000
 PRICE = math.log(SAMPLES)

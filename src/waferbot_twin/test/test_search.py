@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis import fitting, search, shortlist
 from waferbot_twin.diagnosis.confirmation import Fitted
-from waferbot_twin.diagnosis.fitting import _widths, moved, names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import CONTROLLER, PLANT, Cause
+from waferbot_twin.diagnosis.proposals.screening import Screened
 from waferbot_twin.diagnosis.roles import shows_more
-from waferbot_twin.diagnosis.screening import Screened
 from waferbot_twin.diagnosis.search import _revise, _take_best
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation import gauss_newton, search, shortlist
+from waferbot_twin.estimation.gauss_newton import _widths, moved, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import CONTROLLER, PLANT, Cause
 
 
 def hypothesis(cause, log_likelihood, parameters):
@@ -242,12 +242,12 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
         error = causes[0].values['curvature'] / true - 1.0
         return SimpleNamespace(causes=causes, log_likelihood=-100.0 * error**2)
 
-    monkeypatch.setattr(fitting, 'evaluate', simulated)
+    monkeypatch.setattr(gauss_newton, 'evaluate', simulated)
     value = np.array([20.0 * true])
     matrix = np.array([[promises / value[0]]])
-    linear = fitting.Linear(value, np.eye(1), matrix, matrix @ value)
+    linear = gauss_newton.Linear(value, np.eye(1), matrix, matrix @ value)
     now = simulated(None, (cause,))
-    tried, _ = fitting._step(None, now, [(0, parameter)], linear, fitting.REACH)
+    tried, _ = gauss_newton._step(None, now, [(0, parameter)], linear, gauss_newton.REACH)
     assert (tried is not None) == better
     if better:
         assert tried.log_likelihood > now.log_likelihood

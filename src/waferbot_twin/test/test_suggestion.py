@@ -12,13 +12,13 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.fitting import fit_causes
 from waferbot_twin.diagnosis.likeness import likeness
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, strokes
 from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
 from waferbot_twin.suggestion.rivals import named, of_report, read_report

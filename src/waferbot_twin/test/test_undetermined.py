@@ -6,13 +6,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
 from waferbot_twin.diagnosis.left_over import LeftOver
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.undetermined import undetermined
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause, Problem
 
 
 @pytest.fixture(scope='module')

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis import rivalry, withdrawal
-from waferbot_twin.diagnosis.gain import AxisGain
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.roles import taken_out
 from waferbot_twin.diagnosis.search_state import Rival, Search
 from waferbot_twin.diagnosis.withdrawal import loses
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.validation.gain import AxisGain
 
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
 SAMPLES = 2000

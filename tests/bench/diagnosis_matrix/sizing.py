@@ -20,10 +20,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import prediction_errors
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.noise_model.prediction_error import prediction_errors
+from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
 
 CLOSE = 1.15
 """A size within this ratio of the one wanted will do."""

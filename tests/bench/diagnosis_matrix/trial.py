@@ -34,21 +34,21 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.servo import MOTOR_KILLED
 from waferbot_twin.diagnosis.diagnose import diagnose, load_records
-from waferbot_twin.diagnosis.fitting import fit_causes
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.gain import gains
-from waferbot_twin.diagnosis.hypothesis import evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.diagnosis.report import as_dict
 from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.places import moving_inertia
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Record
 from waferbot_twin.synthesis import with_noise
+from waferbot_twin.validation.gain import gains
 
 LEFT_OUT, CRASHED = 'left out', 'crashed'
 

@@ -54,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Rate the experiments, print the table, write the best."""
     from waferbot_lockstep.timing import Timing
-    from waferbot_twin.diagnosis.problem import apply_all
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
+    from waferbot_twin.residuals.problem import apply_all
     from waferbot_twin.suggestion.report import as_dict, remainder, sentence, table_rows, write
     from waferbot_twin.suggestion.rivals import named, of_report, read_report
     from waferbot_twin.suggestion.separation import Machine

@@ -30,13 +30,13 @@ from scipy.stats import chi2
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.fitting import names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, signature
-from waferbot_twin.diagnosis.jointly import Signature, by_channel, side_by_side
-from waferbot_twin.diagnosis.problem import Cause, Channel, Problem
-from waferbot_twin.diagnosis.record import Array, Record
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.whitening import fit, prediction_errors
+from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, signature
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
+from waferbot_twin.noise_model.prediction_error import fit, prediction_errors
+from waferbot_twin.residuals.problem import Cause, Channel, Problem
+from waferbot_twin.residuals.record import Array, Record
 
 CHANCE = 1e-3
 """Probability that the logs disagree as much on a true cause."""

@@ -29,12 +29,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import evaluate, parameters_of, signature
-from waferbot_twin.diagnosis.jointly import by_channel
 from waferbot_twin.diagnosis.likeness import likeness
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Rival, Search
-from waferbot_twin.diagnosis.whitening import in_deviations
+from waferbot_twin.estimation.hypothesis import evaluate, parameters_of, signature
+from waferbot_twin.estimation.stacked_least_squares import by_channel
+from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.residuals.problem import Cause, Problem
 
 MOST_ALIKE = 2
 """How many causes at most are named that the logs cannot tell from one that was found."""

@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import (
+from waferbot_twin.diagnosis.together import NEARLY, far_channels, pays
+from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     parameters_of,
     signature,
     whole_change,
 )
-from waferbot_twin.diagnosis.jointly import by_channel, fit_jointly
-from waferbot_twin.diagnosis.problem import CURRENT_LOOP, PLANT, WINDINGS, Cause, Problem
-from waferbot_twin.diagnosis.together import NEARLY, far_channels, pays
+from waferbot_twin.estimation.stacked_least_squares import by_channel, fit_jointly
+from waferbot_twin.residuals.problem import CURRENT_LOOP, PLANT, WINDINGS, Cause, Problem
 
 TELLS = 15.0
 """Gain in 2 ln L that a log must be able to show for it to judge a cause."""

@@ -20,24 +20,24 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.alike import Alike, alike, confidence_in, weighed_by_evidence
-from waferbot_twin.diagnosis.from_measured_log import aligned_record, sized_by
-from waferbot_twin.diagnosis.from_recording import record_of
-from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, standard_errors
-from waferbot_twin.diagnosis.intervals import Intervals, intervals_95
 from waferbot_twin.diagnosis.left_over import LeftOver
-from waferbot_twin.diagnosis.offered import offered_effects
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Record
+from waferbot_twin.diagnosis.proposals.offered import offered_effects
+from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.diagnosis.roles import shown
-from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
+from waferbot_twin.estimation.intervals import Intervals, intervals_95
 from waferbot_twin.logs.bags import is_bag, read_bag
 from waferbot_twin.logs.load import load_log
 from waferbot_twin.recording.reader import recording_files, recording_of
+from waferbot_twin.residuals.from_measured_log import aligned_record, sized_by
+from waferbot_twin.residuals.from_recording import record_of
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Record
+from waferbot_twin.validation.gain import AxisGain, gains
 
 HELD_OUT = 0.4
 """Share of a single log that judges what was found in the rest."""

@@ -24,12 +24,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.noise_free_motion import Motion, change, motions
-from waferbot_twin.diagnosis.problem import PLANT, WINDINGS, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.noise_model.prediction_error import fit
+from waferbot_twin.residuals.noise_free_motion import Motion, change, motions
+from waferbot_twin.residuals.problem import PLANT, WINDINGS, Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
 
 CHANCE = 1e-8
 """
@@ -51,7 +51,7 @@ fifth and the seventh of the back-EMF the sixth.
 
 
 ALONG = 8
-"""Cosines on the way of an axis: more are for `position_tones`."""
+"""Cosines on the way of an axis: more are for `encoder_orders`."""
 
 
 def axes_that_follow(problem: Problem, judge: Problem, found: Search) -> list[str]:

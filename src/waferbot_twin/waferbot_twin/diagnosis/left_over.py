@@ -4,8 +4,8 @@ What the causes leave unexplained, and where.
 
 Thirteen kinds of evidence, none of which names a cause: the plant still moves as no noise would make it;
 a block whose output follows from its input to the last bit still does something else; what is left
-follows the command (`following`); it has the same tone in all logs (`tones`), the same line in its
-spectrum (`spectral_lines`), or comes back along the way of an encoder (`position_tones`); an encoder
+follows the command (`following`); it has the same tone in all logs (`periodogram`), the same line in its
+spectrum (`spectral_lines`), or comes back along the way of an encoder (`encoder_orders`); an encoder
 shows fewer values than the model's (`coarseness`); the logs want different values of a cause
 (`agreement`); a cause seems larger in one place than in another (`steadiness`); none of its parts is
 told, or not that it fades (`undetermined`); it is said to repeat where no log goes so far
@@ -20,23 +20,23 @@ from dataclasses import dataclass, field
 
 from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.diagnosis.agreement import Disagreement, disagreements
-from waferbot_twin.diagnosis.coarseness import coarser_steps
 from waferbot_twin.diagnosis.following import axes_that_follow
 from waferbot_twin.diagnosis.nonparametric import tables
-from waferbot_twin.diagnosis.position_tones import lasting_periods
-from waferbot_twin.diagnosis.problem import PLAIN, PLANT, Cause, Problem, apply_all
-from waferbot_twin.diagnosis.repetition import Unrepeated, unrepeated
-from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.proposals.coarseness import coarser_steps
+from waferbot_twin.diagnosis.proposals.encoder_orders import lasting_periods
+from waferbot_twin.diagnosis.proposals.periodogram import lasting_tones
+from waferbot_twin.diagnosis.proposals.repetition import Unrepeated, unrepeated
+from waferbot_twin.diagnosis.proposals.screening import Progress
+from waferbot_twin.diagnosis.proposals.spectral_lines import lasting_lines
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.spectral_lines import lasting_lines
 from waferbot_twin.diagnosis.steadiness import Unsteady, unsteady
 from waferbot_twin.diagnosis.still_ringing import StillRinging, still_ringing
 from waferbot_twin.diagnosis.together import far_channels
-from waferbot_twin.diagnosis.tones import lasting_tones
 from waferbot_twin.diagnosis.undetermined import Undetermined, undetermined
 from waferbot_twin.effects.places import motor_axes, moves_with
+from waferbot_twin.residuals.problem import PLAIN, PLANT, Cause, Problem, apply_all
 
 Doubt = Unsteady | Undetermined | Unrepeated | StillRinging
 """Why one cause may stand in for something else."""

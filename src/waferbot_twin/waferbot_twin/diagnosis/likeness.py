@@ -14,10 +14,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array
-from waferbot_twin.diagnosis.whitening import prediction_errors
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.noise_model.prediction_error import prediction_errors
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
 
 
 def likeness(problem: Problem, found: Hypothesis, cause: Cause, rival: Cause) -> float:

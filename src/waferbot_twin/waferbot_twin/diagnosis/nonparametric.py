@@ -13,11 +13,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from waferbot_lockstep.contract import ENCODERS
-from waferbot_twin.diagnosis.record import Record
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.logs.machine import POSITION_ENCODER
+from waferbot_twin.residuals.record import Record
 
 POINTS = 7
 

@@ -18,13 +18,19 @@ from matplotlib.figure import Figure
 from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.diagnosis.alike import Alike
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import PLANT, UNITS
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.html_page import html_page, picture, save_picture
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.residuals.problem import PLANT, UNITS
+from waferbot_twin.validation.gain_report import (
+    AFTER,
+    BEFORE,
+    draw_gains,
+    gain_of_axes,
+    gain_table,
+)
 
 SCHEMA = 1
 

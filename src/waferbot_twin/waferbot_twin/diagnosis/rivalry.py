@@ -21,10 +21,7 @@ from joblib import Parallel, delayed
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.alike import weighed_by_evidence
 from waferbot_twin.diagnosis.confirmation import Fitted, feigned
-from waferbot_twin.diagnosis.fitting import fit_causes
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.diagnosis.search_state import (
     STRONG,
     TELLS_APART,
@@ -33,6 +30,9 @@ from waferbot_twin.diagnosis.search_state import (
     Search,
     preferred,
 )
+from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.residuals.problem import Cause, Problem
 
 CLOSE = 2.0 * TELLS_APART
 """Difference in 2 ln L, in the logs for finding, up to which a rival is worth a fit to all logs."""

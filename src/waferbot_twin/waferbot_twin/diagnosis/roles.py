@@ -18,14 +18,14 @@ from dataclasses import dataclass
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.left_over import LeftOver, left_over
-from waferbot_twin.diagnosis.problem import Cause, Problem
+from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.diagnosis.rivalry import weighed_in_all_logs
-from waferbot_twin.diagnosis.screening import Progress
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search import search
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.diagnosis.withdrawal import that_wins
 from waferbot_twin.effects.effect import Effect
+from waferbot_twin.residuals.problem import Cause, Problem
 
 
 @dataclass(frozen=True)

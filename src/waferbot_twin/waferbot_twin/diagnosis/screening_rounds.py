@@ -16,12 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, signature
-from waferbot_twin.diagnosis.jointly import Signature
-from waferbot_twin.diagnosis.position_tones import at_periods
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.resonances import screen_lines
-from waferbot_twin.diagnosis.screening import (
+from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
+from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
+from waferbot_twin.diagnosis.proposals.modal_candidates import screen_lines
+from waferbot_twin.diagnosis.proposals.periodogram import at_tones
+from waferbot_twin.diagnosis.proposals.screening import (
     Change,
     Progress,
     Screened,
@@ -29,11 +28,12 @@ from waferbot_twin.diagnosis.screening import (
     screen,
     signatures,
 )
-from waferbot_twin.diagnosis.spectral_lines import lines
+from waferbot_twin.diagnosis.proposals.spectral_lines import lines
 from waferbot_twin.diagnosis.together import far
-from waferbot_twin.diagnosis.tones import at_tones
-from waferbot_twin.diagnosis.tuning import screen_damped
 from waferbot_twin.effects.effect import Effect
+from waferbot_twin.estimation.hypothesis import Hypothesis, signature
+from waferbot_twin.estimation.stacked_least_squares import Signature
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 ANEW = 30
 """How many signatures are found anew once a cause is known."""

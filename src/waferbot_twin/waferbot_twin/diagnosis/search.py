@@ -3,7 +3,7 @@
 From residuals to causes.
 
 1. **Screen** (`screening_rounds`): every effect on every axis, linearly.
-2. **Fit** (`shortlist`, `fitting`): the best few through the simulation, with all causes found so
+2. **Fit** (`shortlist`, `gauss_newton`): the best few through the simulation, with all causes found so
    far; in pairs, too, where a block that should leave nothing over still does.
 3. **Decide.** The best one is taken if the logarithm of its likelihood pays for its parameters and for
    the number M of effects that were tried,
@@ -12,10 +12,10 @@ From residuals to causes.
 
    and if the logs kept for judging, with another motion, become more likely too.
 4. Again from 1 until nothing is taken, then also of compliances that ring too briefly for a line
-   (`tuning`). If what is left of the plant is far too large for noise, and the cause taken does not
-   change that where it changes most, everything usual is fitted together once (`together`), and the
-   search goes on from there. Then each cause is taken out in turn, to see whether the others can do
-   without it, and chosen again beside those that may have bent it.
+   (`compliance_scan`). If what is left of the plant is far too large for noise, and the cause taken
+   does not change that where it changes most, everything usual is fitted together once
+   (`together`), and the search goes on from there. Then each cause is taken out in turn, to see
+   whether the others can do without it, and chosen again beside those that may have bent it.
 
 Of everything that was fitted in place of a cause, what explains the logs as well is kept: these cannot
 be told apart from it with this data.
@@ -31,11 +31,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted
-from waferbot_twin.diagnosis.fitting import fit_causes, names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.intervals import AS_LIKELY
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.screening import Progress
+from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.diagnosis.screening_rounds import Rounds
 from waferbot_twin.diagnosis.search_state import (
     TELLS_APART,
@@ -56,6 +52,10 @@ from waferbot_twin.diagnosis.together import (
     unpredictable_parts,
     usual_causes,
 )
+from waferbot_twin.estimation.gauss_newton import fit_causes, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.estimation.intervals import AS_LIKELY
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 MOST_ROUNDS = 8
 """How many causes are looked for one at a time."""

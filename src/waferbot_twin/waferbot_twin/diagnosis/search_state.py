@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.problem import Cause
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.residuals.problem import Cause
 
 TELLS_APART = 10.0
 """Difference in 2 ln L from which on one cause explains the logs better than another."""

@@ -18,16 +18,16 @@ from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.confirmation import Fitted, weighed
-from waferbot_twin.diagnosis.downhill import downhill
-from waferbot_twin.diagnosis.fitting import fit_causes, moved, names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
-from waferbot_twin.diagnosis.last_bits import acts_on_bits_alone, with_fewest_differences
-from waferbot_twin.diagnosis.problem import Cause, Problem
-from waferbot_twin.diagnosis.rungs import between_rungs
-from waferbot_twin.diagnosis.screening import Progress, Screened
+from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
+from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
+from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
 from waferbot_twin.diagnosis.together import far, price_of
-from waferbot_twin.diagnosis.tuning import may_ring, tuned
+from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.nelder_mead import downhill
+from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.residuals.problem import Cause, Problem
 
 FITTED = 5
 """How many of the best screened effects are fitted through the simulation in each round."""

@@ -29,13 +29,13 @@ from scipy.stats import chi2
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.agreement import WithoutNoise, changes_without_noise, counts
-from waferbot_twin.diagnosis.hypothesis import Hypothesis
-from waferbot_twin.diagnosis.jointly import by_channel
-from waferbot_twin.diagnosis.noise_free_motion import Motion, motions
-from waferbot_twin.diagnosis.problem import Cause, Channel, Problem
-from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.search_state import Search
-from waferbot_twin.diagnosis.whitening import fit
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.stacked_least_squares import by_channel
+from waferbot_twin.noise_model.prediction_error import fit
+from waferbot_twin.residuals.noise_free_motion import Motion, motions
+from waferbot_twin.residuals.problem import Cause, Channel, Problem
+from waferbot_twin.residuals.record import Array
 
 CHANCE = 1e-4
 """Probability that any of the causes seems unsteady if all are true."""

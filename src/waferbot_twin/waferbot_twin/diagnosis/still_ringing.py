@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, signature
-from waferbot_twin.diagnosis.jointly import by_channel
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.whitening import prediction_errors
+from waferbot_twin.estimation.hypothesis import Hypothesis, signature
+from waferbot_twin.estimation.stacked_least_squares import by_channel
+from waferbot_twin.noise_model.prediction_error import prediction_errors
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 
 @dataclass(frozen=True)

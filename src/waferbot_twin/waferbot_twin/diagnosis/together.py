@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.fitting import fit_causes, linearise, names_of, without
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import PLANT, Cause, Problem
-from waferbot_twin.diagnosis.whitening import unpredictable
 from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.estimation.gauss_newton import fit_causes, linearise, names_of, without
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.noise_model.prediction_error import unpredictable
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""

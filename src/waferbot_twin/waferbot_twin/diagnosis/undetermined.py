@@ -23,11 +23,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from waferbot_twin.diagnosis.fitting import names_of
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, standard_errors
-from waferbot_twin.diagnosis.intervals import NORMAL_95
-from waferbot_twin.diagnosis.problem import Cause, Problem
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
+from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.residuals.problem import Cause, Problem
 
 
 @dataclass(frozen=True)

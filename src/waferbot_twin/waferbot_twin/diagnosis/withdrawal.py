@@ -17,13 +17,13 @@ from dataclasses import replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.fitting import names_of
-from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.diagnosis.rivalry import exchanged
 from waferbot_twin.diagnosis.search_state import TELLS_APART, Search
+from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
+from waferbot_twin.validation.gain import AxisGain, gains
 
 LOSES = 0.02
 """Relative rise of the square error, summed over the axes, up to which nothing is lost: 1 % in RMS."""

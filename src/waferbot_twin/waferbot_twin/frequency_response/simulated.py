@@ -21,7 +21,6 @@ from waferbot_lockstep.contract import (
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.closed_loop_record import run_commanded
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals
 from waferbot_twin.logs.contract_signals import ContractSignals
@@ -30,6 +29,7 @@ from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.logs.timebase import median_step_s
 from waferbot_twin.recording.reader import Recording
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.residuals.closed_loop_record import run_commanded
 
 
 def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> MeasuredLog:

@@ -19,14 +19,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.colour import Whitening
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.identification.conditioning import Conditioning, conditioning
 from waferbot_twin.identification.named_parameters import MODEL, NamedParameter
 from waferbot_twin.identification.solving import least_squares
+from waferbot_twin.noise_model.residual_spectrum import Whitening
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
 
 STEP = 2e-3
 """Step of the difference quotients, in scaled values."""

@@ -17,14 +17,14 @@ from scipy.signal import lfilter
 
 from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.gain import AxisGain, gains
-from waferbot_twin.diagnosis.problem import UNITS, BlockOfLog, Problem
-from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.whitening import autoregression
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.estimation import Estimate, Progress, estimate
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
+from waferbot_twin.noise_model.prediction_error import autoregression
+from waferbot_twin.residuals.problem import UNITS, BlockOfLog, Problem
+from waferbot_twin.residuals.record import Array, Record
+from waferbot_twin.validation.gain import AxisGain, gains
 
 AT_BOUND = 0.01
 """Distance from its bound, in half ranges, at which a parameter is said to be there."""

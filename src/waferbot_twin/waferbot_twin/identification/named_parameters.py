@@ -31,11 +31,11 @@ from waferbot_lockstep.parameters import Parameter as Setting
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant.parameters_page import unit_of
 from waferbot_pmac.i_variables import axis_parameters as controller_settings
-from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.effects import places
 from waferbot_twin.effects.compliances import with_compliance
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.residuals.problem import Cause
 
 USUAL_RANGE = 10.0
 """Where no range is given, a value may become this many times larger or smaller."""

@@ -17,12 +17,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from waferbot_twin.cli.console import finite, significant
-from waferbot_twin.diagnosis.gain_report import AFTER, BEFORE, draw_gains, gain_of_axes, gain_table
-from waferbot_twin.diagnosis.intervals import NORMAL_95
+from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.conditioning import Combination, in_words
 from waferbot_twin.identification.identify import Identification
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.validation.gain_report import (
+    AFTER,
+    BEFORE,
+    draw_gains,
+    gain_of_axes,
+    gain_table,
+)
 
 SCHEMA = 1
 MOST_CHANNELS = 8

@@ -13,9 +13,9 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_twin.diagnosis.problem import Cause
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.synthesis import parse_effect
 
 

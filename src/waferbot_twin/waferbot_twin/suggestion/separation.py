@@ -23,16 +23,16 @@ from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.experiments.evaluation import MILLISECONDS
-from waferbot_twin.diagnosis.from_recording import record_of_signals
-from waferbot_twin.diagnosis.hypothesis import Hypothesis, evaluate, parameters_of
-from waferbot_twin.diagnosis.problem import Cause, Problem, apply_all
-from waferbot_twin.diagnosis.record import Array, Record
-from waferbot_twin.diagnosis.whitening import Fit, prediction_errors
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.identification.solving import least_squares
+from waferbot_twin.noise_model.prediction_error import Fit, prediction_errors
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array, Record
 from waferbot_twin.synthesis import with_noise
 
 Channels = dict[str, list[Array]]

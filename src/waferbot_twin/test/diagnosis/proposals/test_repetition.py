@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Causes that are said to repeat, in logs that go far enough or not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.timing import Timing
+from waferbot_twin.diagnosis.left_over import LeftOver
+from waferbot_twin.diagnosis.proposals.repetition import unrepeated
+from waferbot_twin.diagnosis.proposals.screening import candidates
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Record
+
+TICKS = 8000
+GEAR = 48.0
+
+
+@pytest.fixture(scope='module')
+def nominal():
+    return Variant.of(load_model('rigid'))
+
+
+def log_of(nominal, travel):
+    """Return a log in which encoders go there and back again, each as far as `travel` says (m, rad)."""
+    timing = Timing()
+    rows = np.linspace(0.0, 2.0 * math.pi, TICKS // timing.encoder_divider)
+    reading = np.full((len(rows), len(ENCODERS)), np.nan)
+    for name, far in travel.items():
+        counts = far * nominal.description.encoders[name].counts_per_unit
+        reading[:, ENCODERS.index(name)] = np.round(0.5 * counts * (1.0 - np.cos(rows)))
+    return Record('log', timing, np.zeros((TICKS, 2 * len(AXES))), reading, None, None)
+
+
+def problem_of(nominal, *travels):
+    return Problem(nominal, [log_of(nominal, travel) for travel in travels])
+
+
+@pytest.mark.parametrize(
+    ('name', 'axis', 'period', 'values'),
+    [
+        ('encoder_eccentricity', 'x_rotate', math.pi, {'period': math.pi}),
+        ('motor_encoder_eccentricity', 'y_rotate', 2.0 * math.pi / GEAR, {}),
+        ('transmission_error', 'y_rotate', math.pi / GEAR, {'order': 2.0}),
+        ('cogging', 'y_linear', 0.032 / 6.0, {'order': 6.0}),  # 32 mm from magnet pair to pair
+        ('cogging', 'x_rotate', 2.0 * math.pi / 22.0, {'order': 2.0}),  # 11 pairs of poles
+        ('torque_ripple', 'y_rotate', 2.0 * math.pi / 4.0 / 6.0 / GEAR, {}),  # 4 pairs
+    ],
+)
+def test_it_repeats_where_half_of_its_period_is_seen(nominal, name, axis, period, values):
+    effect = find(name)
+    cause = Cause(effect, axis, effect.complete(nominal, axis, values))
+    encoder = 'y_rotate_load' if axis == 'y_rotate' else axis
+    enough, too_little = (problem_of(nominal, {encoder: share * period}) for share in (0.52, 0.48))
+    assert unrepeated([cause], too_little, enough) == []
+    assert unrepeated([cause], enough, too_little) == []
+    (found,) = unrepeated([cause], too_little, too_little)
+    assert found.after == pytest.approx(period)
+    assert found.seen == pytest.approx(0.48 * period, rel=0.01)
+    assert f'{name}:{axis}: it would repeat every' in str(found)
+    rest = LeftOver(doubts=[found])
+    assert rest.axes == [axis]
+    assert rest.in_doubt(cause, too_little)
+
+
+def test_an_axis_of_which_only_the_motor_is_measured_goes_as_far_as_that(nominal):
+    effect = find('torque_ripple')
+    cause = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    period = 2.0 * math.pi / 24.0
+    enough, too_little = (
+        problem_of(nominal, {'y_rotate_motor': share * period}) for share in (0.52, 0.48)
+    )
+    assert unrepeated([cause], enough, enough) == []
+    assert len(unrepeated([cause], too_little, too_little)) == 1
+
+
+def test_two_logs_that_begin_elsewhere_are_not_joined(nominal):
+    effect = find('encoder_eccentricity')
+    cause = Cause(effect, 'x_rotate', effect.typical(nominal, 'x_rotate'))
+    both = problem_of(nominal, {'x_rotate': 0.4 * math.pi}, {'x_rotate': -0.4 * math.pi})
+    assert len(unrepeated([cause], both, both)) == 1
+
+
+def test_what_does_not_repeat_is_not_asked(nominal):
+    standing = problem_of(nominal, {'y_linear': 0.0})
+    for name in ('viscous_friction', 'encoder_scale', 'position_dependent_friction'):
+        effect = find(name)
+        cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
+        assert unrepeated([cause], standing, standing) == []
+
+
+def test_no_cause_that_repeats_is_tried_where_an_axis_stands(nominal):
+    """It hunts on two counts here; any other cause is tried."""
+    effects = [find(name) for name in ('cogging', 'torque_ripple', 'constant_force')]
+    per_unit = nominal.description.encoders['y_linear'].counts_per_unit
+
+    def tried(counts):
+        problem = problem_of(nominal, {'y_linear': counts / per_unit})
+        return {
+            item.effect.name for item in candidates(problem, effects) if item.axis == 'y_linear'
+        }
+
+    assert tried(1.0) == {'constant_force'}
+    assert tried(400.0) == {'cogging', 'torque_ripple', 'constant_force'}

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Screening where a little of an effect says nothing of more, in logs whose cause is known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.proposals.offered import offered_effects
+from waferbot_twin.diagnosis.proposals.screening import candidates, screen, signatures
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.closed_loop_record import run_commanded
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+
+SEED = 20261122
+TIMING = Timing()
+
+pytestmark = pytest.mark.slow
+
+
+def log_of(nominal: Variant, cause: Cause, experiment: str, noise: float = 0.5) -> Problem:
+    """Return the problem of a noisy log of half a second of a machine with a cause."""
+    print(f'seed {SEED}')
+    variant = apply_all(nominal, [cause])
+    parameters = servo_parameters(variant.pmac, variant.name)
+    motion = load_experiment(experiment)
+    commanded = commanded_positions(motion, parameters, TIMING.servo_hz)
+    signals = run_commanded(variant, TIMING, commanded, TIMING.ticks(0.5))
+    record = record_of_signals('log', signals)
+    more = np.random.default_rng(SEED).normal(0.0, noise, record.reading.shape)
+    steps = np.array([cause.values.get('step', 1.0), 1.0, 1.0, 1.0])  # of Y-Linear's encoder
+    reading = steps * np.round((record.reading + more) / steps)
+    return Problem(nominal, [replace(record, reading=reading)])
+
+
+def quiet(what: str, done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def best_screened(problem: Problem, *names: str, axis: str = 'y_rotate'):
+    """Return what screening promises most of some effects on an axis."""
+    base = evaluate(problem)
+    effects = [find(name) for name in names]
+    every = [item for item in candidates(problem, effects) if item.axis == axis]
+    found = signatures(problem, base, every, 1, quiet)
+    first, *_ = screen(problem, base, every, found, [])
+    return first
+
+
+def test_an_error_of_teeth_is_found_from_where_the_drive_has_let_go():
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('transmission_error')
+    true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    problem = log_of(nominal, true, 'full_stroke_y_rotate')
+    first = best_screened(problem, 'transmission_error', 'encoder_eccentricity', 'backlash')
+    assert (first.cause.name, first.cause.values['order']) == (true.name, true.values['order'])
+    # It is in proportion once there is a little, so that a fit gets from there to the truth.
+    names = ('cosine', 'sine')
+    little = np.array([first.cause.values[name] for name in names])
+    asked = dict(zip(names, little + first.value[:2], strict=True))
+    (found,) = fit_causes(problem, (first.cause.with_values(asked),)).causes
+    for name in names:
+        assert found.values[name] == pytest.approx(true.values[name], rel=0.02)
+
+
+def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('belt_compliance')
+    true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    problem = log_of(nominal, true, 'random_y_rotate')
+    first = best_screened(problem, 'belt_compliance', 'coulomb_friction', 'encoder_scale')
+    assert first.cause.name == true.name
+    gain = evaluate(problem, (first.cause,)).log_likelihood - evaluate(problem).log_likelihood
+    assert first.score <= 2.0 * gain
+    assert first.score > 100.0
+
+
+def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
+    nominal = Variant.of(load_model('rigid'))
+    true = Cause(find('coarse_quantisation'), 'y_linear', {'step': 16.0})
+    problem = log_of(nominal, true, 'step')
+    (effect,) = (item for item in offered_effects(problem, []) if item.name == true.effect.name)
+    (cause,) = candidates(problem, [effect])
+    assert (cause.name, cause.values, cause.free) == (true.name, true.values, 0)
+    base = evaluate(problem)
+    (first,) = screen(problem, base, [cause], signatures(problem, base, [cause], 1, quiet), [])
+    found = fit_causes(problem, (first.cause,))
+    gained = 2.0 * (found.log_likelihood - base.log_likelihood)
+    assert first.score == pytest.approx(gained, rel=1e-3)  # it is screened in steps twice as long
+    assert gained > 1000.0
+
+
+def test_whole_steps_are_likelier_of_an_encoder_that_has_nothing_between():
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('coarse_quantisation')
+    problem = log_of(nominal, Cause(effect, 'y_linear', {'step': 16.0}), 'step')
+
+    def gained(step: float) -> float:
+        with_steps = evaluate(problem, (Cause(effect, 'y_linear', {'step': step}),))
+        return with_steps.log_likelihood - evaluate(problem).log_likelihood
+
+    samples = len(evaluate(problem).residuals['plant'][0]) - problem.noises('plant')[0].order
+    # what is predicted, the middle of a step, moves with the step, and no observer minds
+    for step in (2.0, 4.0, 8.0, 16.0):
+        assert gained(step) == pytest.approx(samples * math.log(step), rel=0.01)
+    for step in (3.0, 12.0, 17.0, 32.0):  # readings are no multiples of these
+        assert gained(step) == pytest.approx(0.0, abs=0.01 * samples)
+
+
+def test_friction_that_sticks_is_known_from_other_dry_friction_by_what_it_holds():
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('direction_dependent_friction')
+    true = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
+    problem = log_of(nominal, true, 'swept_sine_y_linear')
+    frictions = ('coulomb_friction', 'presliding', 'stribeck_friction', 'viscous_friction')
+    first = best_screened(problem, effect.name, *frictions, 'constant_force', axis='y_linear')
+    assert first.cause.name == true.name
+    found = fit_causes(problem, (first.cause,)).causes[0]
+    assert found.values == pytest.approx(true.values, rel=0.02)
+
+
+def test_a_delay_of_two_interrupts_that_sets_a_loop_swinging_is_tried_as_two():
+    nominal = Variant.of(load_model('rigid'))
+    true = Cause(find('command_delay'), 'x_rotate', {'delay': 2.0})
+    problem = log_of(nominal, true, 'step', noise=0.0)
+    first = best_screened(
+        problem, 'command_delay', 'notch', 'wrong_derivative_gain', axis='x_rotate'
+    )
+    assert (first.cause.name, first.cause.values) == (true.name, true.values)

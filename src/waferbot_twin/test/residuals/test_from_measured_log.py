@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Records of measured logs, and the plant block on them: motions that are formulas, forces that follow.
+
+A sum of sines needs the torque J q'' + b q' + ... exactly, so that no integrator stands between the log
+and the truth.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.diagnose import load_record
+from waferbot_twin.diagnosis.proposals.cogging_orders import orders_of
+from waferbot_twin.effects import find, places
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.archive import write_archive
+from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.models import load_model_or_machine
+from waferbot_twin.residuals import plant_block
+from waferbot_twin.residuals.from_measured_log import (
+    aligned_record,
+    record_of_measured_log,
+    sized_by,
+)
+from waferbot_twin.residuals.plant_block import PlantBlock
+
+INERTIA = 2.5e-4  # kg m2, of the direct-drive motor
+COUNTS = 8192.0 / (2.0 * math.pi)
+AXIS = 'x_rotate'
+
+
+@pytest.fixture
+def random():
+    seed = int(os.environ.get('WAFERBOT_SEED', '6'))
+    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope='module')
+def motor():
+    return Variant.of(load_model_or_machine('direct_drive_motor'))
+
+
+class Motion:
+    """A sum of sines of 0.3 to 3 Hz with a swing of some turns."""
+
+    def __init__(self, random) -> None:
+        self.wave = 2.0 * np.pi * random.uniform(0.3, 3.0, 6)
+        self.phase = random.uniform(0.0, 2.0 * np.pi, 6)
+        self.size = random.uniform(4.0, 8.0, 6) / self.wave
+
+    def derivative(self, order, time_s):
+        angle = np.outer(time_s, self.wave) + self.phase + order * np.pi / 2.0
+        return np.sin(angle) @ (self.size * self.wave**order)
+
+
+def log_of(random, more=lambda angle, speed: 0.0, step_s=2e-3, jitter=0.3, kind='force'):
+    """Return the log of a motor with the inertia of the model and `more` torque against it."""
+    motion = Motion(random)
+    time_s = step_s * (
+        np.arange(int(4.0 / step_s)) + jitter * random.uniform(size=int(4.0 / step_s))
+    )
+    angle, speed, rate = (motion.derivative(order, time_s) for order in range(3))
+    torque = INERTIA * rate + more(angle, speed)
+    angle = np.round(angle * COUNTS) / COUNTS
+    return MeasuredLog(
+        'log',
+        (
+            Signal('position', AXIS, 'rad', time_s, angle, 1.0 / COUNTS),
+            Signal(kind, AXIS, 'Nm' if kind == 'force' else 'A', time_s, torque),
+        ),
+    )
+
+
+def residual(variant, log):
+    block = PlantBlock(record_of_measured_log(log, variant), variant)
+    (found,) = block.residuals(variant)
+    return found
+
+
+def test_readings_stand_at_their_own_times_and_nothing_is_made_up(random, motor) -> None:
+    log = log_of(random)
+    position = log[AXIS, 'position']
+    record = record_of_measured_log(log, motor)
+    rows, places_ = np.nonzero(np.isfinite(record.reading))
+    assert set(places_) == {1}
+    # All samples but those for which there is no drive, or no row, at the ends.
+    assert len(position.time_s) - 4 <= len(rows) <= len(position.time_s)
+    delay = motor.description.encoder_delay
+    time_s = (
+        (rows - delay) / record.timing.encoder_hz + record.late_s[rows, 1] + position.time_s[0]
+    )
+    first = np.searchsorted(position.time_s, time_s[0] - 1e-9)
+    expected = slice(first, first + len(rows))
+    assert time_s == pytest.approx(position.time_s[expected], abs=1e-9)
+    assert record.reading[rows, 1] == pytest.approx(position.value[expected] * COUNTS, abs=1e-6)
+    assert not record.whole_counts
+    assert record.resolution[1] == pytest.approx(1.0)
+    assert np.abs(record.late_s).max() <= 0.5 / record.timing.encoder_hz + 1e-12
+
+
+def test_the_right_machine_leaves_rounding_and_a_wrong_one_more(random, motor) -> None:
+    log = log_of(random)
+    right = residual(motor, log)
+    assert np.std(right) < 0.6  # counts: rounding is 0.29, and the observer adds its own past
+    heavier = find('wrong_inertia').apply(motor, AXIS, {'inertia': 2.0 * INERTIA})
+    assert np.std(residual(heavier, log)) > 1.4 * np.std(right)
+
+
+def test_currents_forces_and_commands_drive_alike(random, motor) -> None:
+    log = log_of(random, jitter=0.0)
+    force = log[AXIS, 'force']
+    constant = places.force_per_ampere(motor, AXIS)
+    one = residual(motor, log)
+    for kind in ('current', 'current_command'):
+        signal = Signal(kind, AXIS, 'A', force.time_s, force.value / constant)
+        other = residual(motor, MeasuredLog('log', (log[AXIS, 'position'], signal)))
+        same = kind == 'current'
+        assert (np.abs(one - other).max() < 1e-6) == same  # a command is held between its samples
+
+
+def test_a_gap_is_left_out_of_the_residual(random, motor) -> None:
+    log = log_of(random)
+    whole = residual(motor, log)
+    keep = [(signal.time_s < 1.5) | (signal.time_s > 1.8) for signal in log.signals]
+    gappy = MeasuredLog(
+        'log',
+        tuple(
+            replace(signal, time_s=signal.time_s[mask], value=signal.value[mask])
+            for signal, mask in zip(log.signals, keep, strict=True)
+        ),
+    )
+    found = residual(motor, gappy)
+    assert len(found) < len(whole) - 150
+    assert np.abs(found).max() < 3.0 * np.abs(whole).max()
+
+
+def test_orders_of_cogging_come_out_of_the_residual(random, motor) -> None:
+    orders = {7: 0.02, 12: 0.012, 36: 0.01}
+
+    def cogging(angle, speed):
+        held = [size * np.cos(order * angle + order) for order, size in orders.items()]
+        return sum(held) + 0.01 * np.sign(speed)
+
+    log = log_of(random, cogging, step_s=1e-3)
+    block = PlantBlock(record_of_measured_log(log, motor), motor)
+    assert orders_of(motor, [block]) == {AXIS: tuple(orders)}
+
+
+def test_no_orders_without_cogging(random, motor) -> None:
+    for _ in range(3):
+        log = log_of(random, lambda angle, speed: 0.02 * np.sign(speed) + 1e-4 * speed)
+        noise = 2e-4 * random.standard_normal(len(log[AXIS, 'force'].value))
+        force = replace(log[AXIS, 'force'], value=log[AXIS, 'force'].value + noise)
+        noisy = MeasuredLog('log', (log[AXIS, 'position'], force))
+        block = PlantBlock(record_of_measured_log(noisy, motor), motor)
+        assert orders_of(motor, [block]) == {}
+
+
+@settings(deadline=None)  # the first one compiles
+@given(
+    st.floats(1.0, 500.0),
+    st.floats(1e-5, 0.3),
+)
+def test_observer_forgets_as_fast_as_it_says_at_any_rate_of_readings(frequency, time_s) -> None:
+    """The error of a double integrator has the poles exp(-(z +- i sqrt(1 - z^2)) w h)."""
+    gains = np.zeros(2)
+    plant_block._observer_gains(frequency, time_s, gains)
+    moves = np.array([[1.0, time_s], [0.0, 1.0]])
+    corrected = np.array([[1.0 - gains[0], 0.0], [-gains[1], 1.0]])
+    from_reading_to_reading = moves @ corrected
+    damping = plant_block.OBSERVER_DAMPING
+    pole = np.exp(complex(-damping, math.sqrt(1.0 - damping**2)) * frequency * time_s)
+    assert np.linalg.det(from_reading_to_reading) == pytest.approx(abs(pole) ** 2, abs=1e-12)
+    assert np.trace(from_reading_to_reading) == pytest.approx(2.0 * pole.real, abs=1e-12)
+
+
+def test_a_slow_log_says_what_it_cannot_show(random, motor) -> None:
+    record = aligned_record(log_of(random, step_s=1.0 / 150.0, jitter=0.0), motor)
+    assert any('above 25 Hz' in note for note in record.notes)
+    assert any('x_rotate.force against its position' in note for note in record.notes)
+
+
+def test_a_skew_is_taken_out(random, motor) -> None:
+    log = log_of(random, lambda angle, speed: 0.01 * np.sign(speed), jitter=0.0)
+    force = log[AXIS, 'force']
+    late = MeasuredLog('log', (log[AXIS, 'position'], replace(force, time_s=force.time_s + 5e-3)))
+    record = aligned_record(late, motor)
+    assert any('moved by that' in note for note in record.notes)
+    residuals = [
+        np.std(PlantBlock(one, motor).residuals(motor)[0])
+        for one in (record, record_of_measured_log(late, motor))
+    ]
+    assert residuals[0] < residuals[1]
+
+
+def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:
+    log = log_of(random)
+    sized = sized_by([record_of_measured_log(log, motor)], motor)
+    force = log[AXIS, 'force'].value
+    assert places.rated_force(sized, AXIS) == pytest.approx(
+        float(np.sqrt(np.mean(force**2))), rel=0.02
+    )
+
+
+def test_what_cannot_be_used_is_said(random, motor, tmp_path) -> None:
+    log = log_of(random)
+    pendulum = Variant.of(load_model_or_machine('geared_pendulum'))
+    with pytest.raises(UserError, match=r'x_rotate.*motors on y_rotate'):
+        record_of_measured_log(log, pendulum)
+    slides = MeasuredLog(
+        'log', tuple(replace(s, unit={'rad': 'm', 'Nm': 'N'}[s.unit]) for s in log.signals)
+    )
+    with pytest.raises(UserError, match=r'slides.*turns'):
+        record_of_measured_log(slides, motor)
+    machine = {**motor.machine, 'encoders': {}}
+    with pytest.raises(UserError, match='no encoder x_rotate'):
+        record_of_measured_log(log, replace(motor, machine=machine))
+    share = Signal(
+        'drive_command', AXIS, '1', *(getattr(log[AXIS, 'force'], k) for k in ('time_s', 'value'))
+    )
+    with pytest.raises(UserError, match='peak current of an amplifier'):
+        record_of_measured_log(MeasuredLog('log', (log[AXIS, 'position'], share)), motor)
+    later = replace(log[AXIS, 'force'], time_s=log[AXIS, 'force'].time_s + 100.0)
+    with pytest.raises(UserError, match='never known at once'):
+        record_of_measured_log(MeasuredLog('log', (log[AXIS, 'position'], later)), motor)
+    text = tmp_path / 'log.csv'
+    text.write_text('time,angle\n', 'utf-8')
+    with pytest.raises(UserError, match='waferbot import'):
+        load_record(text, motor)
+
+
+def test_an_imported_folder_is_a_log(random, motor, tmp_path) -> None:
+    log = log_of(random)
+    write_archive(log, tmp_path / 'imported')
+    one, other = load_record(tmp_path / 'imported', motor), aligned_record(log, motor)
+    assert one.reading.tobytes() == other.reading.tobytes()
+    assert one.current.tobytes() == other.current.tobytes()
+
+
+def test_a_machine_alone_has_no_controller(motor) -> None:
+    assert motor.is_machine_alone
+    assert places.controlled_axes(motor) == places.amplified_axes(motor) == ()
+    assert not Variant.of(load_model_or_machine('rigid')).is_machine_alone
+    with pytest.raises(UserError, match='there is no model'):
+        load_model_or_machine('nowhere')

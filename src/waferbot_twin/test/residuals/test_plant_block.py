@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant driven by a log: what its observer must not do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant, built
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.plant_block import PlantBlock
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.synthesis import with_noise
+
+
+def record_of(variant, experiment, duration_s):
+    """Return the noise-free log of a model."""
+    timing = Timing()
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, variant.name)
+    twin.commanded = commanded_positions(
+        load_experiment(experiment), twin.servo_parameters, timing.servo_hz
+    )
+    return record_of_signals('log', twin.advance(timing.ticks(duration_s)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('name', 'experiment'),
+    [
+        ('cable_compliance:y_linear', 'swept_sine_y_linear'),  # gently: a cable can go slack
+        ('payload_bearing_compliance:y_linear', 'step'),
+        ('bearing_moment_compliance:x_rotate', 'step'),
+        ('gearbox_compliance:y_rotate', 'step'),
+        ('belt_compliance:y_rotate', 'step'),
+    ],
+)
+def test_what_gives_next_to_nothing_is_seen_as_what_does_not_give(name, experiment):
+    """
+    Two encoders of a rigid drive, or a carriage and its counterweight, are held as one.
+
+    If the model with a stiff connection were held by more encoders, or pulled at on one side, it would
+    explain any log better or worse than the rigid one, whatever gives.
+    """
+    nominal = Variant.of(load_model('rigid'))
+    record = record_of(nominal, experiment, 0.3)
+    block = PlantBlock(record, nominal)
+    effect, axis = find(name.split(':')[0]), name.split(':')[1]
+    (parameter,) = effect.parameters(nominal, axis)
+    stiff = effect.apply(nominal, axis, {parameter.name: 1e-6 * parameter.typical})
+    for rigid, other in zip(block.residuals(nominal), block.residuals(stiff), strict=True):
+        assert np.sqrt(np.mean((other - rigid) ** 2)) < 0.01 * np.sqrt(np.mean(rigid**2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['backlash', 'gearbox_compliance', 'belt_compliance'])
+def test_a_motor_is_followed_through_what_joins_it_to_its_load(name):
+    """
+    The model with the true cause explains the motor's encoder to a count, with noise in the readings.
+
+    Held by the load alone, its motor would bounce between the flanks of the play, dozens of counts.
+    """
+    seed = 7
+    print(f'seed {seed}')
+    nominal = Variant.of(load_model('rigid'))
+    effect = find(name)
+    variant = effect.apply(nominal, 'y_rotate', effect.typical(nominal, 'y_rotate'))
+    record = record_of(variant, 'step', 0.6)
+    noise = np.random.default_rng(seed).normal(scale=0.5, size=record.reading.shape)
+    record = replace(record, reading=np.round(record.reading + noise))
+    block = PlantBlock(record, nominal)
+    motor = block.channels.index('y_rotate_motor')
+    wrong, right = (np.std(block.residuals(model)[motor]) for model in (nominal, variant))
+    assert right < 1.0
+    assert wrong > 5.0
+
+
+@pytest.mark.slow
+def test_noise_of_readings_does_not_set_a_true_model_ringing():
+    """A gearbox that rings at 1.2 kHz, for hundreds of cycles: once the rigid model was as likely."""
+    nominal = Variant.of(load_model('rigid'))
+    cause = Cause(find('gearbox_compliance'), 'y_rotate', {'compliance': 2.665e-6})
+    machine = apply_all(nominal, (cause,))
+    gains = []
+    for seed in range(1, 4):
+        print(f'seed {seed}')
+        noisy = with_noise(machine, nominal, 1.0, np.random.default_rng(seed))
+        problem = Problem(nominal, [record_of(noisy, 'step', 0.8)])
+        gains.append(evaluate(problem, (cause,)).log_likelihood - evaluate(problem).log_likelihood)
+    assert 2.0 * sum(gains) > 250.0  # 162 where such a spring was corrected as one with play
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['backlash', 'gearbox_compliance', 'belt_compliance'])
+@pytest.mark.parametrize('size', [0.01, 0.1, 1.0])
+def test_what_could_give_explains_no_drive_that_is_rigid(name, size):
+    """A motor that is let go must not be followed better than a rigid one just by its own encoder."""
+    seed = 11
+    print(f'seed {seed}')
+    nominal = Variant.of(load_model('rigid'))
+    record = record_of(nominal, 'random_y_rotate', 0.4)
+    noise = np.random.default_rng(seed).normal(scale=0.3, size=record.reading.shape)
+    problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
+    effect = find(name)
+    typical = effect.typical(nominal, 'y_rotate')
+    cause = Cause(effect, 'y_rotate', {key: size * value for key, value in typical.items()})
+    assert evaluate(problem, (cause,)).log_likelihood < evaluate(problem).log_likelihood
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    'name',
+    [
+        'coulomb_friction:x_rotate',
+        'cogging:y_linear',
+        'bearing_moment_compliance:x_rotate',  # rings at 75 Hz
+        'belt_compliance:y_rotate',
+        'backlash:y_rotate',
+        'encoder_delay:y_rotate',
+        'phase_gain_mismatch:x_rotate',
+    ],
+)
+def test_steps_as_long_as_the_encoders_cycle_show_what_a_cause_changes(name):
+    """Half of the time for it; the difference from the exact change is a few percent of its power."""
+    nominal = Variant.of(load_model('rigid'))
+    axis = name.split(':')[1]
+    block = PlantBlock(record_of(nominal, f'random_{axis}', 0.3), nominal)
+    quick = block.in_encoder_ticks()
+    assert quick.record.ticks * block.record.timing.encoder_divider == block.record.ticks
+    effect = find(name.split(':')[0])
+    values = {
+        item.name: item.neutral + 0.3 * (item.typical - item.neutral)
+        for item in effect.parameters(nominal, axis)
+    }
+    other = effect.apply(nominal, axis, values)
+    exact, near = (
+        np.concatenate(one.residuals(other)) - np.concatenate(one.residuals(nominal))
+        for one in (block, quick)
+    )
+    assert np.sqrt(np.mean((near - exact) ** 2)) < 0.05 * np.sqrt(np.mean(exact**2))

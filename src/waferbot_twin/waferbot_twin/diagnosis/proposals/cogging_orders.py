@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which orders a force over the position has: a line spectrum of the plant's residual, over position.
+
+A force F that the model lacks is in the innovation of the plant's observer, for an axis of inertia M,
+as F / (M (s^2 + 2 z w s + w^2)) (`plant_block`). So a line of cogging, cos(n phi) at the measured angle
+phi, comes out as that filter makes it, whatever the speed does meanwhile; its frequency over time need
+not be constant. Lines are taken one after another, each time that which explains most of what is left
+(orthogonal matching pursuit), beside what friction and a constant force would leave. Then those of the
+M orders are given up again, the weakest first, that do not pay for themselves,
+
+    N ln(S_0 / S_1) < 2 ln N + 4 ln M,
+
+S the sums of squares of N samples without and with a line, whitened by what all lines together leave.
+(To whiten before the lines are known would take them out: they are what an autoregression predicts
+best.) The amplitudes are fitted afterwards, through the simulation, as for every other effect.
+
+Limits: orders are whole numbers per turn (per electrical cycle of a linear motor) and no closer than the
+travel can tell apart; a travel below an electrical cycle shows none; M is that of the axis alone. When
+an axis moves so slowly that its current only holds against the cogging, a motor without any force
+would explain the log as well: a wrong force constant is not allowed for here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.signal import bilinear, lfilter
+
+from waferbot_twin.effects import places
+from waferbot_twin.effects.cogging import period
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.machine import POSITION_ENCODER
+from waferbot_twin.noise_model.prediction_error import autoregression
+from waferbot_twin.residuals.plant_block import OBSERVER_DAMPING, PlantBlock
+from waferbot_twin.residuals.record import Array
+
+ORDERS_PER_CYCLE = 16
+"""Highest order that is looked for, per electrical cycle."""
+
+MOST_ORDERS = 250
+MOST_LINES = 10
+
+
+def orders_of(variant: Variant, blocks: Sequence[PlantBlock]) -> dict[str, tuple[int, ...]]:
+    """Return the orders of each axis that the residuals of the logs show, axes without any left out."""
+    residuals = [dict(zip(b.channels, b.residuals(variant), strict=True)) for b in blocks]
+    found = {}
+    for axis in places.motor_axes(variant):
+        encoder = POSITION_ENCODER[axis]
+        parts = [
+            _Part(variant, axis, block, own[encoder])
+            for block, own in zip(blocks, residuals, strict=True)
+            if encoder in own
+        ]
+        orders = _lines(parts, _candidates(variant, axis, parts)) if parts else ()
+        if orders:
+            found[axis] = tuple(sorted(orders))
+    return found
+
+
+class _Part:
+    """One channel of one log: its residual, where the motor was, and what else may be in it."""
+
+    def __init__(self, variant: Variant, axis: str, block: PlantBlock, residual: Array) -> None:
+        encoder = POSITION_ENCODER[axis]
+        part = variant.description.encoders[encoder]
+        time_s = block.times_s(encoder)
+        ratio = places.motor_ratio(variant, axis)
+        self.residual = residual
+        self.order = block.order
+        self.turns = ratio * block.measured(encoder) / part.counts_per_unit / period(variant, axis)
+        self._taps = _force_to_innovation(block.observer_hz, time_s)
+        speed = np.gradient(block.measured(encoder), time_s)
+        smooth = np.convolve(speed, np.ones(9) / 9.0, mode='same')
+        columns = [np.ones(len(time_s)), smooth, np.sign(smooth)]
+        self.others = np.column_stack([self._seen(column) for column in columns])
+
+    def _seen(self, force: Array) -> Array:
+        """Return what a force leaves in the innovation, up to a factor."""
+        return np.asarray(lfilter(*self._taps, force))
+
+    def line(self, order: int) -> Array:
+        """Return what cosine and sine of an order leave in the innovation (samples, 2)."""
+        angle = 2.0 * math.pi * order * self.turns
+        return np.column_stack([self._seen(np.cos(angle)), self._seen(np.sin(angle))])
+
+
+def _force_to_innovation(observer_hz: float, time_s: Array) -> tuple[Array, Array]:
+    """Return the discrete filter of w^2 / (s^2 + 2 z w s + w^2) at the rate of the samples."""
+    frequency = 2.0 * math.pi * observer_hz
+    rate_hz = 1.0 / float(np.median(np.diff(time_s)))
+    return bilinear(
+        [frequency**2], [1.0, 2.0 * OBSERVER_DAMPING * frequency, frequency**2], rate_hz
+    )
+
+
+def _candidates(variant: Variant, axis: str, parts: Sequence[_Part]) -> list[int]:
+    """Return the orders that the travel of the logs can show."""
+    travel = max(float(np.ptp(part.turns)) for part in parts)
+    cycles = abs(variant.description.motors[axis].electrical_gain) * period(variant, axis)
+    cycles /= 2.0 * math.pi
+    if travel * cycles < 1.0:
+        return []
+    step = max(1, round(0.6 / travel))
+    # Two samples in a period at least, at the usual speed.
+    fastest = max(float(np.percentile(np.abs(np.diff(part.turns)), 90.0)) for part in parts)
+    highest = min(ORDERS_PER_CYCLE * cycles, MOST_ORDERS * step, 0.4 / max(fastest, 1e-9))
+    return list(range(step, int(highest) + 1, step))
+
+
+def _lines(parts: Sequence[_Part], candidates: Sequence[int]) -> list[int]:
+    """Return the orders that pay for themselves."""
+    lines = _strongest(parts, candidates)
+    while lines:
+        worth = _worth(parts, lines)
+        weakest = min(lines, key=lambda order: worth[order])
+        samples = sum(len(part.residual) for part in parts)
+        if worth[weakest] > 2.0 * math.log(samples) + 4.0 * math.log(len(candidates)):
+            break
+        lines.remove(weakest)
+    return lines
+
+
+def _strongest(parts: Sequence[_Part], candidates: Sequence[int]) -> list[int]:
+    """Return the orders that explain most of the residuals, strongest first."""
+    scales = [float(np.std(part.residual)) or 1.0 for part in parts]
+
+    def below(signals: Sequence[Array]) -> Array:
+        return np.concatenate([one / scale for one, scale in zip(signals, scales, strict=True)])
+
+    basis, _ = np.linalg.qr(_diagonal([part.others for part in parts]))
+    right = _beside(basis, below([part.residual for part in parts]))
+    waves = [below([part.line(order) for part in parts]) for order in candidates]
+    waves = [_beside(basis, wave) for wave in waves]
+    taken: list[int] = []
+    while len(taken) < min(MOST_LINES, len(candidates)):
+        gains = [_explained(wave, right) for wave in waves]
+        best = int(np.argmax(gains))
+        if gains[best] <= 0.0:
+            break
+        taken.append(candidates[best])
+        basis, _ = np.linalg.qr(waves[best])
+        right = _beside(basis, right)
+        waves = [_beside(basis, wave) for wave in waves]
+        waves[best] = np.zeros_like(waves[best])
+    return taken
+
+
+def _explained(wave: Array, right: Array) -> float:
+    """Return the square of what two columns explain of a signal; 0 if they are hardly there."""
+    gram, along = wave.T @ wave, wave.T @ right
+    if np.linalg.cond(gram) > 1e8 or gram[0, 0] < 1e-12 * len(right):
+        return 0.0
+    return float(along @ np.linalg.solve(gram, along))
+
+
+def _worth(parts: Sequence[_Part], lines: Sequence[int]) -> dict[int, float]:
+    """Return N ln(S_0 / S_1) of each line beside all others, whitened."""
+    others, waves, residuals = [], [], []
+    for part in parts:
+        own = np.hstack([part.others, *(part.line(order) for order in lines)])
+        value, *_ = np.linalg.lstsq(own, part.residual, rcond=1e-10)
+        left = part.residual - own @ value
+        taps = autoregression(left, part.order)
+        white = lfilter(taps, 1.0, np.column_stack([part.residual, own, left]), axis=0)
+        white = white[part.order :] / (float(np.std(white[part.order :, -1])) or 1.0)
+        count = part.others.shape[1]
+        residuals.append(white[:, 0])
+        others.append(white[:, 1 : 1 + count])
+        waves.append(white[:, 1 + count : -1])
+    right = np.concatenate(residuals)
+    matrix = np.hstack([np.concatenate(waves), _diagonal(others)])
+    scale = np.sqrt(np.sum(matrix**2, axis=0))
+    scale[scale == 0.0] = 1.0
+    covariance = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
+    value = covariance @ ((matrix / scale).T @ right)
+    whole = float(np.sum((right - (matrix / scale) @ value) ** 2))
+    worth = {}
+    for place, order in enumerate(lines):
+        pair = slice(2 * place, 2 * place + 2)
+        more = float(value[pair] @ np.linalg.pinv(covariance[pair, pair]) @ value[pair])
+        worth[order] = len(right) * math.log1p(more / whole)
+    return worth
+
+
+def _diagonal(blocks: Sequence[Array]) -> Array:
+    """Return columns of several logs, each log with values of its own."""
+    return np.asarray(block_diag(*blocks))
+
+
+def _beside(basis: Array, signal: Array) -> Array:
+    """Return what of a signal is not in a basis of orthonormal columns."""
+    return signal - basis @ (basis.T @ signal)

@@ -1,0 +1,290 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fit of all parameters of a set of causes, through the simulation.
+
+Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
+success, and within the bounds of the parameters (a bounded linear least-squares problem): a
+compliance that shrinks to nothing stops there while the others go on.
+
+Where many parameters are fitted that the logs hardly tell apart (a mass and a force constant, without
+currents), what is usual decides: each is taken to be normally distributed about neutral, with `USUAL`
+times its typical size, and the logarithm of that is added to that of the likelihood.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from joblib import Parallel, delayed
+from scipy.optimize import lsq_linear
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    evaluate,
+    in_quick_steps,
+    parameters_of,
+    signature,
+    width_of,
+)
+from waferbot_twin.estimation.stacked_least_squares import (
+    Signature,
+    fit_jointly,
+    side_by_side,
+    whitened_jointly,
+)
+from waferbot_twin.noise_model.residual_spectrum import covariance
+from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
+
+ROUNDS = 8
+ENOUGH = 0.02
+"""Gain in ln L below which another round is not worth its time."""
+
+REACH, SHORTEST = 100.0, 0.01
+"""First and shortest reach of a step, in widths of each parameter."""
+
+PROMISES = 10.0
+"""Gain in 2 ln L that a step promises from which on ever smaller shares of it are tried."""
+
+USUAL = 1.0
+"""Standard deviation of a parameter of a usual effect, in its typical size."""
+
+Names = Sequence[tuple[int, Parameter]]
+
+
+@dataclass(frozen=True)
+class Linear:
+    """
+    A problem about a hypothesis: change of residuals by the signatures of all its parameters.
+
+    `value` (k,) the change that makes the logs most likely and its `covariance` (k, k); `matrix`
+    (k, k) and `right` (k,) the same problem as a triangular one, |matrix x - right|^2 to be least.
+    """
+
+    value: Array
+    covariance: Array
+    matrix: Array
+    right: Array
+
+
+def fit_causes(
+    problem: Problem,
+    causes: tuple[Cause, ...],
+    rounds: int = ROUNDS,
+    workers: int = 1,
+    enough: float = ENOUGH,
+    usual: float = 0.0,
+) -> Hypothesis:
+    """
+    Return the causes with the values that make the logs most likely.
+
+    The fit ends when a round gains less than `enough` in ln L. `usual` is the weight of what is usual:
+    the number of samples for each independent one, or nothing. Raises `UserError` if the simulation
+    blows up where the fit begins.
+    """
+    now = evaluate(problem, causes)
+    names = names_of(problem, causes)
+    reach = REACH
+    for _ in range(rounds if names else 0):
+        linear = linearise(problem, now, names, workers, usual)
+        now.covariance = linear.covariance
+        better, reach = _step(problem, now, names, linear, reach, usual)
+        if better is None:
+            break
+        better.covariance = linear.covariance
+        gain = _merit(better, names, usual) - _merit(now, names, usual)
+        now = better
+        if gain < enough:
+            break
+    return now
+
+
+def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
+    """Return every parameter of the causes, with the place of its cause."""
+    return [
+        (place, item)
+        for place, cause in enumerate(causes)
+        for item in parameters_of(problem, cause)
+    ]
+
+
+def _merit(hypothesis: Hypothesis, names: Names, usual: float) -> float:
+    """Return ln L with that of what is usual."""
+    if not usual:
+        return hypothesis.log_likelihood
+    unusual = _unusual(hypothesis.causes, names)
+    return hypothesis.log_likelihood - 0.5 * usual * float(unusual @ unusual)
+
+
+def _unusual(causes: Sequence[Cause], names: Names) -> Array:
+    """Return every parameter of a usual effect in its standard deviations from neutral, else 0."""
+    return np.array(
+        [
+            (causes[place].values[item.name] - item.neutral) * _per_unit(causes[place], item)
+            for place, item in names
+        ]
+    )
+
+
+def _per_unit(cause: Cause, item: Parameter) -> float:
+    width = abs(item.typical - item.neutral)
+    return 1.0 / (USUAL * width) if cause.effect.usual and width > 0.0 else 0.0
+
+
+def _step(
+    problem: Problem,
+    now: Hypothesis,
+    names: Names,
+    linear: Linear,
+    reach: float,
+    usual: float = 0.0,
+) -> tuple[Hypothesis | None, float]:
+    """
+    Return the first better hypothesis within ever shorter reaches, or None, and the next reach.
+
+    Where the whole step promises much, and is short itself, reaches are shorter still: what little there
+    is of a cause may do much, and far from in proportion.
+    """
+    shortest = SHORTEST
+    if float(np.sum((linear.matrix @ linear.value) ** 2)) > PROMISES:
+        whole = float(np.max(np.abs(linear.value) / _widths(now.causes, names), initial=0.0))
+        shortest *= min(1.0, whole)
+    while reach >= shortest:
+        change = _bounded(now.causes, names, linear, reach)
+        try:
+            tried = evaluate(problem, moved(now.causes, names, change))
+        except UserError:
+            tried = now
+        if _merit(tried, names, usual) > _merit(now, names, usual):
+            return tried, 2.0 * reach
+        widths = _widths(now.causes, names)
+        reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
+    return None, reach
+
+
+def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: float) -> Array:
+    """Return the best change of all parameters within their bounds and within reach."""
+    widths = _widths(causes, names)
+    low, high = _room(causes, names)
+    low, high = np.maximum(low, -reach * widths), np.minimum(high, reach * widths)
+    if np.all((linear.value >= low) & (linear.value <= high)):
+        return linear.value
+    return _least(linear.matrix, linear.right, low, high)
+
+
+def without(
+    causes: tuple[Cause, ...], names: Names, linear: Linear, place: int
+) -> tuple[Cause, ...]:
+    """Return the causes without one, the others moved to make up for it as far as they can."""
+    own = np.array([cause == place for cause, _ in names])
+    away = np.array([item.neutral - causes[cause].values[item.name] for cause, item in names])
+    low, high = _room(causes, names)
+    change = np.zeros(len(names))
+    change[~own] = _least(
+        linear.matrix[:, ~own],
+        -linear.matrix[:, own] @ away[own],
+        low[~own],
+        high[~own],
+    )
+    after = moved(causes, names, change)
+    return (*after[:place], *after[place + 1 :])
+
+
+def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
+    """Return how far every parameter can go down and up."""
+    values = np.array([causes[place].values[item.name] for place, item in names])
+    return (
+        np.array([item.low for _, item in names]) - values,
+        np.array([item.high for _, item in names]) - values,
+    )
+
+
+def _least(matrix: Array, right: Array, low: Array, high: Array) -> Array:
+    """Return where |matrix x - right|^2 is least between bounds (which may coincide)."""
+    if not len(low):
+        return np.zeros(0)
+    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    margin = 1e-9 * (1.0 + np.abs(low * scale))
+    found = lsq_linear(
+        matrix / scale, right, (low * scale - margin, high * scale + margin), method='bvls'
+    )
+    return np.asarray(np.clip(found.x / scale, low, high), np.float64)
+
+
+def _widths(causes: Sequence[Cause], names: Names) -> Array:
+    """Return how far it is usual to move each parameter."""
+    return np.array([_width(causes[place], item) for place, item in names])
+
+
+def _width(cause: Cause, item: Parameter) -> float:
+    width = width_of(cause, item)
+    if item.name in cause.narrow:
+        return width
+    return max(width, abs(cause.values[item.name] - item.neutral))
+
+
+def linearise(
+    problem: Problem, now: Hypothesis, names: Names, workers: int = 1, usual: float = 0.0
+) -> Linear:
+    """
+    Return the linear problem about a hypothesis, with the weight of what is usual.
+
+    With it the model is far from the machine, and the way there need not be exact.
+    """
+    own = _signatures(*(in_quick_steps(problem, now) if usual else (problem, now)), workers)
+    counts = [len(parameters_of(problem, cause)) for cause in now.causes]
+    together = side_by_side(own, counts)
+    estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
+    system, right = whitened_jointly(now.residuals, together, estimate)
+    if not usual:
+        orthogonal, triangle = np.linalg.qr(system)
+        spread = covariance(system, estimate)
+        return Linear(estimate.value, spread, triangle, orthogonal.T @ right)
+    weight = math.sqrt(usual)
+    towards = weight * np.array([_per_unit(now.causes[place], item) for place, item in names])
+    system = np.vstack([system, np.diag(towards)])
+    right = np.concatenate([right, -weight * _unusual(now.causes, names)])
+    orthogonal, triangle = np.linalg.qr(system)
+    scale = np.linalg.norm(triangle, axis=0)
+    scale[scale == 0.0] = 1.0
+    inverse = np.linalg.pinv(triangle / scale, rcond=1e-10)
+    right = orthogonal.T @ right
+    spread = inverse @ inverse.T / np.outer(scale, scale)
+    return Linear(inverse @ right / scale, spread, triangle, right)
+
+
+def _signatures(problem: Problem, now: Hypothesis, workers: int) -> list[Signature]:
+    """Return the signatures of all causes, as many at a time as there are workers."""
+    every = range(len(now.causes))
+    # To send the logs to another process takes as long as to simulate some signatures: once to each.
+    parts = [every[first::workers] for first in range(min(workers, len(every)))]
+    found = Parallel(n_jobs=workers)(
+        delayed(_signatures_at)(problem, now, places) for places in parts
+    )
+    by_place = {
+        place: one
+        for places, own in zip(parts, found, strict=True)
+        for place, one in zip(places, own, strict=True)
+    }
+    return [by_place[place] for place in every]
+
+
+def _signatures_at(problem: Problem, now: Hypothesis, places: Sequence[int]) -> list[Signature]:
+    return [signature(problem, now, now.causes, place) for place in places]
+
+
+def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:
+    """Return the causes with their parameters changed, within their bounds and in whole steps."""
+    values = [dict(cause.values) for cause in causes]
+    for (place, item), amount in zip(names, change, strict=True):
+        wanted = values[place][item.name] + float(amount)
+        if item.resolution > 0.0:
+            steps = round((wanted - item.neutral) / item.resolution)
+            wanted = item.neutral + steps * item.resolution
+        values[place][item.name] = float(np.clip(wanted, item.low, item.high))
+    return tuple(cause.with_values(new) for cause, new in zip(causes, values, strict=True))

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A set of causes, and how well the model with them explains the logs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.noise_model.prediction_error import Fit
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
+
+PROBE = 0.1
+"""Share of an effect's typical value with which its signature is found."""
+
+NARROW = 0.002
+"""Width of a narrow parameter, as a share of its value."""
+
+
+@dataclass
+class Hypothesis:
+    """A set of causes: residuals and likelihood by block, covariance of all their parameters."""
+
+    causes: tuple[Cause, ...]
+    residuals: dict[str, list[Array]]
+    fits: dict[str, Fit]
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def log_likelihood(self) -> float:
+        """The sum over all blocks."""
+        return sum(item.log_likelihood for item in self.fits.values())
+
+    @property
+    def samples(self) -> int:
+        """Samples of all channels."""
+        return sum(item.samples for item in self.fits.values())
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters."""
+        return sum(cause.free for cause in self.causes)
+
+    @property
+    def information_criterion(self) -> float:
+        """Schwarz' criterion k ln N - 2 ln L: lower is better."""
+        return self.parameters * math.log(self.samples) - 2.0 * self.log_likelihood
+
+
+def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
+    """Return the model with these causes as they are; raises `UserError` if it blows up."""
+    variant = apply_all(problem.nominal, causes)
+    residuals = {
+        block: problem.residuals(variant, block)
+        for block, parts in problem.blocks.items()
+        if parts
+    }
+    return Hypothesis(causes, residuals, problem.judge(residuals))
+
+
+def in_quick_steps(problem: Problem, base: Hypothesis) -> tuple[Problem, Hypothesis]:
+    """
+    Return a problem and a hypothesis in longer steps of the plant, to find what causes change.
+
+    Only its residuals are those of the longer steps. Both are returned as they are if the plant blows up
+    so.
+    """
+    quick = problem.quick()
+    if PLANT not in base.residuals:
+        return problem, base
+    try:
+        left = quick.residuals(apply_all(problem.nominal, base.causes), PLANT)
+    except UserError:
+        return problem, base
+    return quick, replace(base, residuals={**base.residuals, PLANT: left})
+
+
+def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
+    """Return the parameters of a cause that are to be fitted."""
+    return tuple(
+        item
+        for item in cause.effect.parameters(problem.nominal, cause.axis)
+        if item.name not in cause.held
+    )
+
+
+def signature(
+    problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...], place: int
+) -> dict[str, Array]:
+    """
+    Return what the parameters of `causes[place]` change in the residuals, block by block.
+
+    Arrays have the shape (samples of all channels, parameters), per unit of the parameter. A shape
+    parameter of an effect that is not there changes nothing: a column of zeros, without simulating.
+    """
+    cause = causes[place]
+    parameters = parameters_of(problem, cause)
+    absent = all(item.shape or cause.values[item.name] == item.neutral for item in parameters)
+    found: dict[str, list[Array]] = {}
+    for item in parameters:
+        if absent and item.shape:
+            for block in problem.touched(cause.effect, cause.axis):
+                length = sum(len(channel) for channel in hypothesis.residuals[block])
+                found.setdefault(block, []).append(np.zeros(length))
+            continue
+        value = cause.values[item.name]
+        step = _probe(cause, item)
+        moved = cause.with_values({item.name: value + step})
+        variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
+        for block in problem.touched(cause.effect, cause.axis):
+            changed = np.concatenate(problem.residuals(variant, block))
+            column = (changed - np.concatenate(hypothesis.residuals[block])) / step
+            found.setdefault(block, []).append(column)
+    return {block: np.column_stack(columns) for block, columns in found.items()}
+
+
+def whole_change(
+    problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...]
+) -> dict[str, Array]:
+    """
+    Return what the last of `causes` changes in the residuals of a hypothesis without it, by block.
+
+    As a whole, at its values: arrays have the shape (samples of all channels, 1).
+    """
+    cause, variant = causes[-1], apply_all(problem.nominal, causes)
+    return {
+        block: (
+            np.concatenate(problem.residuals(variant, block))
+            - np.concatenate(hypothesis.residuals[block])
+        )[:, None]
+        for block in problem.touched(cause.effect, cause.axis)
+    }
+
+
+def width_of(cause: Cause, item: Parameter) -> float:
+    """
+    Return how far it is usual to move a parameter: from neutral to typical.
+
+    Where these are the same (of most shapes), its typical value; where that is nothing, a tenth of what
+    is possible. A narrow one moves by a share of its value,
+    unless a fit has brought it to zero.
+    """
+    if item.name in cause.narrow and cause.values[item.name] != 0.0:
+        return NARROW * abs(cause.values[item.name])
+    return abs(item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low))
+
+
+def _probe(cause: Cause, item: Parameter) -> float:
+    """Return the step of a finite difference, away from the nearer bound."""
+    value = cause.values[item.name]
+    step = max(PROBE * width_of(cause, item), item.resolution)
+    return step if item.low <= value + step <= item.high else -step
+
+
+def standard_errors(hypothesis: Hypothesis) -> Array:
+    """Return the standard error of every parameter, in the order of the causes."""
+    return np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))

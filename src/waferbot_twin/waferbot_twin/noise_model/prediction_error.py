@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Least squares with coloured residuals.
+
+Residuals of real machines are correlated: friction, vibration and the controller colour them. Taken as
+white, their likelihood is far too sharp and any regressor seems significant. So each channel's residual
+is an autoregressive process,
+
+    r[n] = a_1 r[n-1] + ... + a_p r[n-p] + w[n],        w white with variance s^2,
+
+whose coefficients follow by least squares, and is compared after filtering with
+1 - a_1 z^-1 - ...: generalised least squares, iterated as by Cochrane and Orcutt. With N samples per
+channel the logarithm of the likelihood is, up to a constant,
+
+    ln L = - sum over channels of N/2 (ln s^2 + <w^2> / s^2 - 1),
+
+s^2 = <w^2>, but not less than the resolution of the channel allows (the floor).
+
+Two encoders of one axis, a motor's and its load's, see the same force and the same motion. Taken as
+independent, what shakes both counts twice; and a model whose observer uses one of them profits when
+another model's uses both, whatever is true. So the residuals r, q of such a pair are one process,
+
+    r[n] = sum of a_i r[n-i] + sum of b_i q[n-i] + w[n],                        i = 1 ... p,
+    q[n] = sum of c_i q[n-i] + sum of d_i r[n-i] + d_0 r[n] + v[n],
+
+a vector autoregression in its triangular form: w and v are independent of each other, and ln L is the
+sum as above. What one observer makes of the readings is, for a linear machine, a filter of what another
+one makes of them, and a vector autoregression that is long enough takes any such filter out.
+
+Sources: J. D. Hamilton, Time Series Analysis, Princeton 1994, chapters 5, 8 and 11; L. Ljung, System
+Identification, 1999, section 7.4 (likelihood of innovations).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_twin.noise_model.fir_filter import filtered
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """
+    What is known of the noise in a channel.
+
+    `floor` is the smallest standard deviation that it can have, that of the channel's resolution: a
+    perfect fit is not infinitely likely. `order` is that of the autoregression, 0 for white noise.
+    `beside` says how many places further on in the list of channels that one is with which it makes
+    a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
+    the same times.
+    """
+
+    floor: float
+    order: int
+    beside: int = 0
+
+    def alone(self) -> Noise:
+        """Return the noise of the channel by itself."""
+        return replace(self, beside=0)
+
+
+@dataclass(frozen=True)
+class PredictionError:
+    """
+    The filter that leaves of a channel what its past, and that of the other one of a pair, do not tell.
+
+    `own` (p + 1,) is (1, -a_1, ..., -a_p), `other` (p + 1,) likewise (-b_0, ..., -b_p), for the
+    channel `beside` places further on; empty without one.
+    """
+
+    own: Array
+    other: Array
+    beside: int
+
+    @property
+    def order(self) -> int:
+        """The order p: how many samples at the beginning are lost."""
+        return len(self.own) - 1
+
+    def __call__(self, channels: Sequence[Array], place: int) -> Array:
+        """Return channel number `place`, (N,) or (N, k), filtered, without its first p samples."""
+        left = filtered(self.own, channels[place])
+        if self.beside:
+            left += filtered(self.other, channels[place + self.beside])
+        return left
+
+
+@dataclass(frozen=True)
+class Colour:
+    """The colour of the noise in a channel: its filter, and the deviation of what that leaves."""
+
+    error: PredictionError
+    deviation: float
+
+
+RIDGE = 1e-10
+"""Share of its variance added to a channel's: a line spectrum, or zero, has a filter then, too."""
+
+
+def autoregression(residual: Array, order: int) -> Array:
+    """
+    Return the prediction-error filter (1, -a_1, ..., -a_p) of a residual by itself.
+
+    Least squares on the lagged samples (the covariance method).
+    """
+    return _prediction_error([residual], 0, Noise(0.0, order)).own
+
+
+def unpredictable(residual: Array, noise: Noise) -> float:
+    """Return the standard deviation of what the past of a residual (N,) itself does not tell of it."""
+    white = _prediction_error([residual], 0, noise.alone())([residual], 0)
+    return max(float(np.sqrt(np.mean(white**2))), noise.floor)
+
+
+def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> PredictionError:
+    """Return the prediction-error filter of channel number `place`, by least squares."""
+    order = noise.order
+    if order == 0:
+        return PredictionError(np.ones(1), np.zeros(0), 0)
+    both = [channels[place + further] for further in dict.fromkeys((0, noise.beside))]
+    both = [channel - channel.mean() for channel in both]
+    moments = np.block([[_moments(x, y, order) for y in both] for x in both])
+    variances = np.repeat(np.diag(moments)[:: order + 1], order + 1)
+    # Samples n - p to n, channel by channel: the present of a channel is told by its past, by the
+    # other's, and that of the second of a pair by the present of the first.
+    told_by = variances > 0.0
+    told_by[order] = False
+    if noise.beside > 0:
+        told_by[-1] = False
+    taps = np.zeros(len(moments))
+    if variances[0] > 0.0:
+        known = moments[np.ix_(told_by, told_by)] + np.diag(RIDGE * variances[told_by])
+        taps[told_by] = -np.linalg.solve(known, moments[told_by, order])
+    taps[order] = 1.0
+    mine, others = taps[: order + 1][::-1], taps[order + 1 :][::-1]
+    return PredictionError(mine, others, noise.beside)
+
+
+def _moments(x: Array, y: Array, order: int) -> Array:
+    """
+    Return the sums m_ij = sum over n = p ... N - 1 of x[n - p + i] y[n - p + j], for i, j = 0 ... p.
+
+    Down a diagonal only the first and the last product change:
+    m_(i+1)(j+1) = m_ij - x[i] y[j] + x[N - p + i] y[N - p + j].
+    """
+    rows = len(x) - order
+    moments = np.zeros((order + 1, order + 1))
+    moments[0] = np.correlate(y, x[:rows], 'valid')
+    moments[:, 0] = np.correlate(x, y[:rows], 'valid')
+    change = np.outer(x[rows:], y[rows:]) - np.outer(x[:order], y[:order])
+    for i in range(order):
+        moments[i + 1, 1:] = moments[i, :-1] + change[i]
+    return moments
+
+
+@dataclass(frozen=True)
+class Fit:
+    """
+    A fit of residual + signature @ value = noise.
+
+    `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
+    the white residual of each channel, divided by its standard deviation; `colours` and what was known
+    of the `noises` those of each channel.
+    """
+
+    value: Array
+    covariance: Array
+    log_likelihood: float
+    samples: int
+    whitened: tuple[Array, ...]
+    colours: tuple[Colour, ...]
+    noises: tuple[Noise, ...]
+
+
+def fit(
+    residuals: Sequence[Array],
+    signatures: Sequence[Array],
+    noises: Sequence[Noise],
+    rounds: int = 4,
+    from_white: bool = False,
+    known: Sequence[Colour] = (),
+) -> Fit:
+    """
+    Fit the signatures (N, k) of all channels to their residuals (N,).
+
+    The noise is what is left of the residuals without them, at first all of it; or, `from_white`, what
+    ordinary least squares leave, as if it were white: a strong tone would be taken for its colour.
+    `known` is the colour of the residuals as they stand, channel by channel, if somebody has it already.
+    """
+    count = signatures[0].shape[1]
+    value: Array = np.zeros(count)
+    if not count:
+        return _result(residuals, value, np.zeros((0, 0)), noises)
+    standing = known or _colours(residuals, noises)
+    # What no signature changes keeps its colour.
+    changes = [
+        bool(signatures[place].any() or (noise.beside and signatures[place + noise.beside].any()))
+        for place, noise in enumerate(noises)
+    ]
+    if from_white:
+        solution, *_ = np.linalg.lstsq(
+            np.vstack(signatures), -np.concatenate(residuals), rcond=1e-10
+        )
+        value = np.asarray(solution)
+    for number in range(rounds):
+        colours = standing
+        if number or from_white:
+            colours = _colours(_left(residuals, signatures, value), noises, standing, changes)
+        matrix, right = whitened(residuals, signatures, colours)
+        scale = np.sqrt(np.sum(matrix**2, axis=0))
+        scale[scale == 0.0] = 1.0
+        solution, *_ = np.linalg.lstsq(matrix / scale, right, rcond=1e-10)
+        value = solution / scale
+    inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12)
+    covariance = inverse / np.outer(scale, scale)
+    return _result(
+        _left(residuals, signatures, value), value, covariance, noises, standing, changes
+    )
+
+
+def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:
+    """Return how likely residuals (N,) are as they stand."""
+    return _result(residuals, np.zeros(0), np.zeros((0, 0)), noises)
+
+
+def _left(residuals: Sequence[Array], signatures: Sequence[Array], value: Array) -> list[Array]:
+    return [r + s @ value for r, s in zip(residuals, signatures, strict=True)]
+
+
+def _colours(
+    left: Sequence[Array],
+    noises: Sequence[Noise],
+    known: Sequence[Colour] = (),
+    changed: Sequence[bool] = (),
+) -> list[Colour]:
+    """Return the colour of what is left of every channel; it is `known` of those not `changed`."""
+    found = []
+    for place, noise in enumerate(noises):
+        if known and not changed[place]:
+            found.append(known[place])
+            continue
+        error = _prediction_error(left, place, noise)
+        square = float(np.mean(error(left, place) ** 2))
+        found.append(Colour(error, max(math.sqrt(square), noise.floor)))
+    return found
+
+
+def whitened(
+    residuals: Sequence[Array], signatures: Sequence[Array], colours: Sequence[Colour]
+) -> tuple[Array, Array]:
+    """
+    Return the rows A (N, k) and b (N,) of all channels, white and with a standard deviation of one.
+
+    The value x that explains the residuals best is where |A x - b|^2 is least.
+    """
+    rows = in_deviations(colours, signatures)
+    right = in_deviations(colours, residuals)
+    return np.vstack(rows), -np.concatenate(right)
+
+
+def in_deviations(colours: Sequence[Colour], channels: Sequence[Array]) -> list[Array]:
+    """Return channels, (N,) or (N, k), each filtered and in its standard deviations."""
+    return [one.error(channels, place) / one.deviation for place, one in enumerate(colours)]
+
+
+def _result(
+    left: Sequence[Array],
+    value: Array,
+    covariance: Array,
+    noises: Sequence[Noise],
+    known: Sequence[Colour] = (),
+    changed: Sequence[bool] = (),
+) -> Fit:
+    """Judge what is left over: colour, variance and likelihood."""
+    log_likelihood, samples = 0.0, 0
+    colours = _colours(left, noises, known, changed)
+    in_units = in_deviations(colours, left)
+    for white, colour in zip(in_units, colours, strict=True):
+        # <w^2> is s^2, unless the floor holds the deviation up
+        above = float(np.mean(white**2)) - 1.0
+        log_likelihood -= len(white) * (math.log(colour.deviation) + 0.5 * above)
+        samples += len(white)
+    return Fit(
+        value,
+        covariance,
+        log_likelihood,
+        samples,
+        tuple(in_units),
+        tuple(colours),
+        tuple(noises),
+    )
+
+
+def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:
+    """Return channels, (N,) or (N, k), filtered as a fit found for them, in their deviations."""
+    return in_deviations(fit.colours, channels)

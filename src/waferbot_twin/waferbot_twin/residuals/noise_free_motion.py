@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command makes an axis do, seen in the noise-free log of the model (`closed_loop_record`)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.effects.places import motor_axes, motor_ratio
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.machine import POSITION_ENCODER
+from waferbot_twin.residuals.problem import Problem
+from waferbot_twin.residuals.record import Array, Record
+
+SMOOTHING_S = 0.005
+"""Over which signals are averaged, so that counts do not look like speed."""
+
+STANDS_COUNTS_S = 200.0
+"""Speed that is about none."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """
+    What the command makes an axis do, without any noise, at every reading of the encoders (n,).
+
+    Position (counts from the first), speed and acceleration, currents of lines 1 and 2 (A), and the
+    motor's electrical angle (rad).
+    """
+
+    rate_hz: float
+    position: Array
+    speed: Array
+    acceleration: Array
+    currents: tuple[Array, Array]
+    angle: Array
+
+    @property
+    def clock_s(self) -> Array:
+        """Times from the log's beginning."""
+        return np.asarray(np.arange(len(self.position)) / self.rate_hz)
+
+    @property
+    def direction(self) -> Array:
+        """The sign of the speed, about zero where the axis stands."""
+        return np.tanh(self.speed / STANDS_COUNTS_S)
+
+    @property
+    def amplitude(self) -> Array:
+        """Amplitude of the currents, A."""
+        return amplitude(*self.currents)
+
+
+def amplitude(first: Array, second: Array) -> Array:
+    """Return that of two line currents, A: i^2 = 4/3 (i1^2 + i1 i2 + i2^2) of phases in balance."""
+    return np.sqrt(np.maximum(first**2 + first * second + second**2, 0.0) * 4.0 / 3.0)
+
+
+def _smooth(signal: Array, rate_hz: float) -> Array:
+    width = max(3, round(SMOOTHING_S * rate_hz))
+    kernel = np.hanning(width + 2)
+    ends = np.pad(signal, width, mode='edge')
+    return np.asarray(np.convolve(ends, kernel / kernel.sum(), mode='same')[width:-width])
+
+
+def change(signal: Array, rate_hz: float) -> Array:
+    """Return the derivative of a signal (n,) by time, smoothed."""
+    return _smooth(np.gradient(signal) * rate_hz, rate_hz)
+
+
+def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
+    """Return what an axis does in a log without noise (`Problem.ideal`)."""
+    timing = ideal.timing
+    place, name = AXES.index(axis), POSITION_ENCODER[axis]
+    rate_hz = timing.encoder_hz
+    counts = ideal.reading[:, ENCODERS.index(name)]
+    position = _smooth(counts - counts[0], rate_hz)
+    speed = change(position, rate_hz)
+    currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
+    currents = currents[: len(position)]  # the last tick may be without a reading
+    gain = 0.0
+    if axis in motor_axes(nominal):
+        gain = nominal.description.motors[axis].electrical_gain * motor_ratio(nominal, axis)
+        gain /= nominal.description.encoders[name].counts_per_unit
+    return Motion(
+        rate_hz,
+        position,
+        speed,
+        change(speed, rate_hz),
+        (_smooth(currents[:, 0], rate_hz), _smooth(currents[:, 1], rate_hz)),
+        gain * (counts[0] + position),
+    )
+
+
+def motions(
+    problem: Problem, ideal: Problem, axes: Collection[str]
+) -> dict[tuple[int, str], Motion]:
+    """Return what axes do in the logs without noise, by the identity of the measured record and axis."""
+    return {
+        (id(measured), axis): motion(problem.nominal, noise_free, axis)
+        for measured, noise_free in zip(problem.records, ideal.records, strict=True)
+        for axis in sorted(axes)
+    }

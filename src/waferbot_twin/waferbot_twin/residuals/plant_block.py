@@ -1,0 +1,508 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The plant alone: driven by measured currents, held to measured positions, what is left over.
+
+Double integrators drift, so a plant that is only driven by measured currents soon is nowhere near the
+measurement. Here every reading y of an encoder corrects the simulated coordinate x a little, as a
+Luenberger observer does,
+
+    e = y - c x        x += l1 e / c        x' += l2 e / c
+    l1 = 1 - q^2       l2 = (1 + q^2 - 2 q cos(sqrt(1 - z^2) w h)) / h       q = exp(-z w h)
+
+with c counts per unit, h the time since the correction before, w and z the observer's frequency and
+damping: the error of a double integrator then dies out as exp(-z w t) at whatever times readings come
+(for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in steps of the model's encoder, which
+are counts if it is not coarse, is the block's residual. A force F that the model lacks appears in it
+as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above
+what moves the machine, 80 Hz, but no more than a sixth of the rate at which readings come: what a slow
+log cannot show is not looked for in it. Whitening takes out what w and z were; all models that are
+compared have the same. Where several readings make a sample of the residual, their mean corrects the
+plant when the sample ends: a sample is what was predicted from those before it, whatever an observer
+follows.
+
+A reading that is late is compared with where the plant was by then, as corrected since: without the
+latter the observer, and with it the spread of e, would depend on the delay.
+
+What moves together as long as nothing gives is corrected together, by its first encoder: a carriage
+with its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore
+held as the rigid one is. Where a spring joins two coordinates that both have an encoder, a motor and
+its load, the second holds its own coordinate by what the first leaves of its error: corrected with the
+load alone, a motor in the gap of its gears bounces for ever, as each correction gives back to it what
+an impact took. With k the slope of the spring's force now, zero in the gap, and J what it carries,
+that correction is
+
+    1 / (1 + (k / (J (5 w)^2))^n),        n = 3, with play 2,
+
+of the full one, so that a spring without any compliance is what is held rigid. Noise of readings
+sets a stiff one ringing, and if little damps that it goes on for hundreds of cycles: with n = 2 the
+true model of a gearbox that rings at 1.2 kHz explained logs less than the rigid one. Between the
+flanks of a play impacts end any ring, and the motor has to be followed. Such a model follows two
+encoders where a rigid one follows one; so their innovations are whitened as a pair
+(`prediction_error`), which takes out which readings an observer followed, and leaves what the
+machine does.
+Currents make force as the model's motor says, at the simulated electrical angle, and are measured as the
+model's sensors say; where only the part that makes force is known, it is taken to be in phase.
+Positions are seen as the model's encoders see them, without their noise. Axes of which no position was
+logged stand still.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
+from waferbot_plant.description import Description
+from waferbot_plant.plant import Machine
+from waferbot_twin.effects.variant import Variant, built
+from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.residuals.record import Array, Record, common_step
+
+OBSERVER_HZ = 80.0
+OBSERVER_DAMPING = 0.7
+
+STIFF = 5.0
+"""
+A spring on which its end swings so many times as fast as the observer is stiff: the encoder at that end
+corrects half as much, and less and less on stiffer ones, which noise of readings would only set ringing.
+"""
+
+FALLS, FALLS_WITH_PLAY = 3, 2
+"""With which power of the stiffness: n above."""
+
+READINGS_PER_CYCLE = 6.0
+"""Readings that a cycle of the observer has at least."""
+
+SETTLING_CYCLES = 1.6
+"""Cycles of the observer that are left out at the beginning of a log and behind a gap."""
+
+FLOOR_STEPS = 0.2
+"""Smallest standard deviation of a reading, in its steps: whole counts are uniform over one, 0.29."""
+
+LEAST_READINGS = 40
+"""An encoder with fewer readings than this is not looked at."""
+
+SAMPLES_PER_TAP = 20
+"""Samples for each coefficient of the autoregression at least."""
+
+GAP = 4.0
+"""A time between readings that is so many times the usual one is a gap."""
+
+LONGEST_DELAY = 32
+
+
+class PlantBlock:
+    """
+    The plant's residual of one log, for any variant of the model.
+
+    A sample of the residual is the mean over a group of readings, so that its rate is about the servo's,
+    or that of the log where it is slower. `order` is that of the autoregression: forces that shake the
+    machine are coloured.
+    """
+
+    order = 24
+
+    def __init__(self, record: Record, variant: Variant, observer_hz: float = OBSERVER_HZ) -> None:
+        """Prepare what does not depend on the values of the model."""
+        self.record = record
+        self._rigid = variant.rigid.placing
+        timing = record.timing
+        known = np.isfinite(record.reading)
+        self._places = [
+            place
+            for place, name in enumerate(ENCODERS)
+            if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
+        ]
+        self.channels = [ENCODERS[place] for place in self._places]
+        self._samples: list[NDArray[np.intp]] = []
+        self.rates_hz: list[float] = []
+        self._common_steps: list[int] = []
+        self._observer_hz = np.zeros(len(ENCODERS))
+        self._ends = np.zeros(record.reading.shape, np.bool_)
+        floors = []
+        for place in self._places:
+            rows = np.flatnonzero(known[:, place])
+            usual = float(np.median(np.diff(rows)))
+            rate_hz = timing.encoder_hz / usual
+            self._observer_hz[place] = min(observer_hz, rate_hz / READINGS_PER_CYCLE)
+            settling = SETTLING_CYCLES / self._observer_hz[place] * timing.encoder_hz
+            group = max(1, round(rate_hz / timing.servo_hz))
+            samples, ends = _samples(rows, group, GAP * usual, settling)
+            self._ends[ends, place] = True
+            judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
+            self._samples.append(samples[judged])
+            self.rates_hz.append(rate_hz / group)
+            self._common_steps.append(common_step(record.reading[:, place]))
+            floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
+        shortest = min((len(samples) for samples in self._samples), default=0)
+        self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
+        self.noises = [
+            Noise(floor, self.order, beside)
+            for floor, beside in zip(floors, self._beside(), strict=True)
+        ]
+
+    def _beside(self) -> list[int]:
+        """Return how many places further on the other encoder of each one's axis is; 0 without one."""
+        axes = [AXIS_OF[name] for name in self.channels]
+        found = [0] * len(axes)
+        for first, second in itertools.combinations(range(len(axes)), 2):
+            same_times = np.array_equal(self._samples[first], self._samples[second])
+            if axes[first] == axes[second] and same_times:
+                found[first], found[second] = second - first, first - second
+        return found
+
+    def in_encoder_ticks(self) -> PlantBlock:
+        """
+        Return the block with a step of the simulation for each cycle of the encoders.
+
+        Fewer steps by the encoders' divider of the tick, two of the machine of the thesis. What a cause
+        changes differs by less than 5 % of its RMS (test_plant_block: seven causes, one of which rings
+        at 75 Hz). What is left over itself is not as exact: a residual is to be compared with others of
+        the same block only.
+        """
+        timing = self.record.timing
+        if timing.encoder_divider == 1 or timing.current_loop_hz % timing.encoder_divider:
+            return self
+        other = copy.copy(self)
+        other.record = self.record.with_encoder_ticks()
+        return other
+
+    @property
+    def observer_hz(self) -> float:
+        """Frequency above which missing forces are not seen in the slowest channel, Hz."""
+        return float(min((self._observer_hz[place] for place in self._places), default=0.0))
+
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+        rows = self._samples[self.channels.index(channel)]
+        timing = self.record.timing
+        return rows.mean(axis=1) * timing.encoder_divider * timing.tick_s
+
+    def measured(self, channel: str) -> Array:
+        """Return the reading at every sample of a channel's residual, counts."""
+        rows = self._samples[self.channels.index(channel)]
+        return np.asarray(self.record.reading[rows, ENCODERS.index(channel)].mean(axis=1))
+
+    def residuals(self, variant: Variant) -> list[Array]:
+        """
+        Return the innovation of every encoder of the log, in the steps of the model's encoder.
+
+        So a model says how likely each of the readings is that its encoder can show: one with steps of
+        C counts has only every C-th, and is that much likelier to be right for each of n samples if all
+        changes of the readings are multiples of C: ln L is n ln C more. If they are not, it has no
+        such encoder, and nothing is gained by saying so: then steps are counts.
+        """
+        scales = self.steps(variant)
+        return [
+            channel / step for channel, step in zip(self.innovations(variant), scales, strict=True)
+        ]
+
+    def steps(self, variant: Variant) -> list[float]:
+        """Return the step of every encoder of a model, counts; 1 where readings are no multiples."""
+        found = []
+        for channel, common in zip(self.channels, self._common_steps, strict=True):
+            step = variant.description.encoders[channel].errors.coarseness
+            found.append(step if common and common % step == 0.0 else 1.0)
+        return found
+
+    def innovations(self, variant: Variant) -> list[Array]:
+        """
+        Return the innovation of every encoder of the log, counts.
+
+        Raises `UserError` if the simulation blows up.
+        """
+        record = self.record
+        machine = built(variant, record.timing)
+        parameters = machine.parameters()
+        state = machine.resting_state(parameters)
+        p = parameters[0]
+        together, behind = self._together(machine, p)
+        self._stand_where_measured(state, parameters, together, behind)
+        innovation = np.zeros_like(record.reading)
+        blown_up = _drive(
+            state,
+            parameters,
+            record.line_current,
+            np.zeros((0, motors.MOTORS)) if record.current is None else record.current,
+            0.5 if record.whole_counts else 0.0,
+            record.timing.encoder_divider,
+            2.0 * math.pi * self._observer_hz,
+            together,
+            behind,
+            record.reading,
+            np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
+            self._ends,
+            _standing(machine.description, p, together),
+            np.zeros(9),
+            innovation,
+        )
+        if blown_up >= 0:
+            raise UserError(
+                f'{record.name}: the plant blew up when driven by the measured currents'
+            )
+        return [
+            innovation[rows, place].mean(axis=1)
+            for place, rows in zip(self._places, self._samples, strict=True)
+        ]
+
+    def _together(self, machine: Machine, p: np.void) -> tuple[Array, NDArray[np.intp]]:
+        """
+        Return how far each coordinate of a machine goes with each encoder's, (encoders, coordinates).
+
+        As if nothing gave. An encoder whose coordinate goes with that of an earlier one has that alone
+        if a spring joins the two, and nothing if they are one. With it, for each encoder, the spring
+        that it is behind and the encoder at the other end, (encoders, 2), or -1.
+        """
+        behind = np.full((len(ENCODERS), 2), -1)
+        together = np.zeros((len(ENCODERS), len(machine.coordinates)))
+        moves: list[tuple[int | str, float]] = [
+            self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
+        ]
+        first: dict[int | str, tuple[int, int]] = {}
+        for encoder in self._places:
+            coordinate = int(p['encoder_coordinate'][encoder])
+            what, own = moves[coordinate]
+            if what in first:
+                before, its_coordinate = first[what]
+                joint = _joint(p, coordinate, its_coordinate)
+                if joint >= 0:
+                    together[encoder, coordinate] = 1.0
+                    behind[encoder] = joint, before
+                continue
+            first[what] = encoder, coordinate
+            for place, (other, ratio) in enumerate(moves):
+                if other == what:
+                    together[encoder, place] = ratio / own
+        return together, behind
+
+    def _stand_where_measured(
+        self,
+        state: np.ndarray,
+        parameters: np.ndarray,
+        together: Array,
+        behind: NDArray[np.intp],
+    ) -> None:
+        """Begin with the position and speed of the first readings, and no spring stretched by them."""
+        s, p = state[0], parameters[0]
+        timing = self.record.timing
+        step_s = timing.encoder_divider * timing.tick_s
+        for place in self._places:
+            if not together[place].any() or behind[place, 0] >= 0:
+                continue
+            reading = self.record.reading[:, place]
+            rows = np.flatnonzero(np.isfinite(reading))
+            within = rows - rows[0] < timing.encoder_hz / self._observer_hz[place]
+            few = rows[within][:40]
+            slope, start = np.polyfit(few * step_s, reading[few], 1)
+            per_unit = p['counts_per_unit'][place]
+            coordinate = p['encoder_coordinate'][place]
+            travel = abs(slope) * (few[-1] - few[0]) * step_s
+            if travel < 3.0 * self.record.resolution[place]:  # it stands
+                slope, start = 0.0, float(np.mean(reading[few]))
+            missing = start / per_unit - s['position'][coordinate]
+            s['position'][: together.shape[1]] += together[place] * missing
+            missing = slope / per_unit - s['velocity'][coordinate]
+            s['velocity'][: together.shape[1]] += together[place] * missing
+        encoders.fill_readings(s, p)
+
+
+def _standing(description: Description, p: np.void, together: Array) -> NDArray[np.bool_]:
+    """Return which coordinates (n,) are those of an axis of which no position was logged."""
+    measured = np.count_nonzero(together, axis=0) > 0
+    standing = np.zeros(len(measured), np.bool_)
+    for place, axis in enumerate(AXES):
+        own = [
+            int(p[f'{what}_coordinate'][place])
+            for what, having in (
+                ('axis', description.axes),
+                ('motor', description.motors),
+            )
+            if axis in having
+        ]
+        if not measured[own].any():
+            standing[own] = True
+    return standing
+
+
+def _joint(p: np.void, one: int, other: int) -> int:
+    """Return the spring that joins two coordinates that are not one; -1 if none does."""
+    for spring in range(p['springs']):
+        ends = {int(p['spring_first'][spring]), int(p['spring_second'][spring])}
+        if one != other and ends == {one, other}:
+            return spring
+    return -1
+
+
+def _samples(
+    rows: NDArray[np.intp], group: int, longest: float, settling: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """
+    Return the rows (samples, group) of the readings that make each sample, and where samples end.
+
+    Left out is what lies within `settling` rows of the first reading, or of the first one behind a
+    time of more than `longest` rows without any; there samples end, too.
+    """
+    parts, ends = [], []
+    for stretch in np.split(rows, np.flatnonzero(np.diff(rows) > longest) + 1):
+        whole = len(stretch) // group
+        samples = stretch[: whole * group].reshape(whole, group)
+        parts.append(samples[samples[:, 0] >= stretch[0] + settling])
+        ends += [samples[:, -1], stretch[-1:]]
+    return np.concatenate(parts), np.concatenate(ends)
+
+
+@compiled
+def _drive(
+    state,
+    parameters,
+    line_current,
+    current,
+    half_count,
+    divider,
+    observer,
+    together,
+    behind,
+    reading,
+    late_s,
+    ends,
+    standing,
+    no_voltage,
+    innovation,
+):
+    """
+    Drive the plant by measured currents; fill `innovation` (n / divider, 4), counts.
+
+    `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
+    currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
+    missing; `half_count` is added to them, because counts are rounded down (of a coarse encoder half of
+    its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends`
+    (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `together` (encoders, z) says how far
+    it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
+    the other end. Coordinates of `standing` (z,) do not move. Returns the coordinate for which the
+    simulation blew up, or -1.
+    """
+    s = state[0]
+    p = parameters[0]
+    seen = np.zeros((LONGEST_DELAY, reading.shape[1]))
+    last_row = np.full(reading.shape[1], -1)
+    gains_for = np.zeros(reading.shape[1])
+    gains = np.zeros((2, reading.shape[1]))
+    corrected = np.zeros(reading.shape[1])
+    left = np.zeros(reading.shape[1])
+    summed = np.zeros(reading.shape[1])
+    count = np.zeros(reading.shape[1])
+    inertia = np.ones(reading.shape[1])
+    multibody.mass_matrix_and_bias(s, p, s['position'], s['velocity'])
+    for encoder in range(reading.shape[1]):
+        spring = behind[encoder, 0]
+        if spring >= 0:
+            own = p['encoder_coordinate'][encoder]
+            ratio = p['spring_first_ratio'][spring]
+            if p['spring_first'][spring] != own:
+                ratio = p['spring_second_ratio'][spring]
+            inertia[encoder] = s['mass_matrix'][own, own] / ratio**2
+    for encoder in range(reading.shape[1]):
+        if p['counts_per_unit'][encoder] != 0.0:
+            now = encoders.seen_counts(s, p, encoder)
+            for row in range(LONGEST_DELAY):
+                seen[row, encoder] = now
+    for motor in range(motors.MOTORS):
+        s['terminals_open'][motor] = 1
+    start = s['position'].copy()
+    for tick in range(line_current.shape[0]):
+        if tick % divider == 0 and tick // divider < reading.shape[0]:
+            row = tick // divider
+            for encoder in range(reading.shape[1]):
+                per_unit = p['counts_per_unit'][encoder]
+                if per_unit == 0.0:
+                    continue
+                coordinate = p['encoder_coordinate'][encoder]
+                now = encoders.seen_counts(s, p, encoder)
+                seen[row % LONGEST_DELAY, encoder] = now - corrected[encoder]
+                late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
+                predicted = seen[late, encoder] + corrected[encoder]
+                half_step = half_count * max(p['coarseness'][encoder], 1.0)
+                error = reading[row, encoder] + half_step - predicted
+                if error != error:
+                    continue
+                if late_s.shape[0]:
+                    error -= late_s[row, encoder] * s['velocity'][coordinate] * per_unit
+                innovation[row, encoder] = error
+                summed[encoder] += error
+                count[encoder] += 1.0
+                if not ends[row, encoder]:
+                    continue
+                error = summed[encoder] / count[encoder]
+                summed[encoder] = 0.0
+                count[encoder] = 0.0
+                passed = row - last_row[encoder]
+                last_row[encoder] = row
+                if passed != gains_for[encoder]:
+                    gains_for[encoder] = passed
+                    time_s = passed * divider * p['step'] * p['substeps']
+                    _observer_gains(observer[encoder], time_s, gains[:, encoder])
+                error /= per_unit
+                left[encoder] = (1.0 - gains[0, encoder]) * error
+                spring, before = behind[encoder]
+                if spring >= 0:
+                    error -= together[before, coordinate] * left[before]
+                    stiffness = spring_laws.slope_now(s, p, spring, s['position'])
+                    stiff = stiffness / (inertia[encoder] * (STIFF * observer[encoder]) ** 2)
+                    power = FALLS if p['spring_gap'][spring] == 0.0 else FALLS_WITH_PLAY
+                    error /= 1.0 + stiff**power
+                for other in range(together.shape[1]):
+                    share = together[encoder, other] * error
+                    s['position'][other] += gains[0, encoder] * share
+                    s['velocity'][other] += gains[1, encoder] * share
+                for other in range(reading.shape[1]):
+                    other_coordinate = p['encoder_coordinate'][other]
+                    share = together[encoder, other_coordinate] * error
+                    moved = gains[0, encoder] * share * p['counts_per_unit'][other]
+                    corrected[other] += moved
+                    s['position_before'][other] += moved
+        for row in range(len(s['external_force'])):
+            s['external_force'][row] = 0.0
+        for motor in range(motors.MOTORS):
+            if p['winding'][motor] == motors.NONE:
+                continue
+            coordinate = p['motor_coordinate'][motor]
+            ratio = p['motor_ratio'][motor]
+            middle = s['position'][coordinate] + 0.5 * p['step'] * s['velocity'][coordinate]
+            angle = p['electrical_gain'][motor] * ratio * middle
+            first = line_current[tick, 2 * motor]
+            if first == first:
+                first = current_sensors.true_current(p, motor, 0, first)
+                second = line_current[tick, 2 * motor + 1]
+                second = current_sensors.true_current(p, motor, 1, second)
+                force = motors.force_of_line_currents(p, motor, angle, first, second)
+            elif current.shape[0] and current[tick, motor] == current[tick, motor]:
+                force = motors.force_at_angle(p, motor, angle, current[tick, motor], 0.0)
+            else:
+                continue
+            s['external_force'][coordinate] += ratio * force
+        if tick % 180 == 0:
+            coordinate = plant.runaway(state)
+            if coordinate >= 0:
+                return coordinate
+        plant.advance(state, parameters, no_voltage)
+        for coordinate in range(len(standing)):
+            if standing[coordinate]:
+                s['position'][coordinate] = start[coordinate]
+                s['velocity'][coordinate] = 0.0
+    return -1
+
+
+@compiled
+def _observer_gains(frequency, time_s, gains):
+    """Fill l1 and l2 of an observer of `frequency` rad/s for a reading `time_s` after the last."""
+    shrinks = math.exp(-OBSERVER_DAMPING * frequency * time_s)
+    turns = math.sqrt(1.0 - OBSERVER_DAMPING**2) * frequency * time_s
+    gains[0] = 1.0 - shrinks * shrinks
+    gains[1] = (1.0 + shrinks * shrinks - 2.0 * shrinks * math.cos(turns)) / time_s

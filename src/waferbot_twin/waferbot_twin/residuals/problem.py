@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Residuals of all blocks and logs for any variant of the model, and how likely they are."""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, cast
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES
+from waferbot_twin.effects.effect import Effect, Values
+from waferbot_twin.effects.variant import Itself, Variant
+from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
+from waferbot_twin.noise_model.prediction_error import Fit, Noise, likelihood
+from waferbot_twin.residuals.closed_loop_record import simulate
+from waferbot_twin.residuals.controller_block import ControllerBlock
+from waferbot_twin.residuals.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
+from waferbot_twin.residuals.plant_block import PlantBlock
+from waferbot_twin.residuals.record import Array, Record
+
+PLANT, CONTROLLER = 'plant', 'controller'
+AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
+
+UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURRENT_LOOP: 'A'}
+"""The blocks that can be replayed alone, and the unit of their residuals."""
+
+ROUGH = 5.0
+"""Floors below which a residual is as good as nothing, where the model is far from the machine."""
+
+PLAIN = 30.0
+"""Difference in 2 ln L from which on an exact block plainly does something else than its model."""
+
+ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
+"""The sections of a description that the windings depend on: the motion is measured, by encoders."""
+
+
+class BlockOfLog(Protocol):
+    """One block with the signals of one log."""
+
+    record: Record
+    noises: list[Noise]
+    channels: list[str]
+
+    def residuals(self, variant: Variant) -> list[Array]:
+        """Return the residual of every channel."""
+
+    def times_s(self, channel: str) -> Array:
+        """Return the time of every sample of a channel's residual, s from the log's beginning."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of a block in one log, and what is known of its noise."""
+
+    log: BlockOfLog
+    name: str
+    noise: Noise
+
+    @property
+    def axis(self) -> str:
+        """The axis that it tells of."""
+        return next(axis for axis in AXES if self.name.startswith(axis))
+
+
+@dataclass(frozen=True)
+class Cause:
+    """
+    An effect on an axis, with values of its parameters; those `held` are not fitted.
+
+    Of those that are `narrow` logs tell the value to parts of a thousand, and beside that they show
+    nothing of it: a frequency, or what gives so little that it rings.
+    """
+
+    effect: Effect
+    axis: str
+    values: Values
+    held: tuple[str, ...] = ()
+    narrow: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Effect and axis as one word."""
+        return f'{self.effect.name}:{self.axis}'
+
+    @property
+    def free(self) -> int:
+        """Number of parameters to be fitted."""
+        return len(self.values) - len(self.held)
+
+    def with_values(self, values: Mapping[str, float]) -> Cause:
+        """Return the same cause with other values of some parameters."""
+        return replace(self, values={**self.values, **values})
+
+
+def apply_all(nominal: Variant, causes: Sequence[Cause]) -> Variant:
+    """Return the nominal model with all causes, one after another."""
+    variant = nominal
+    for cause in causes:
+        values = tuple(cause.values.items())
+        variant = _laid_over(Itself(variant), cause.effect, cause.axis, values)
+    return variant
+
+
+@functools.lru_cache(maxsize=128)
+def _laid_over(
+    below: Itself, effect: Effect, axis: str, values: tuple[tuple[str, float], ...]
+) -> Variant:
+    """
+    Return a variant with one effect more.
+
+    A fit of thirty causes changes one of them at a time: those before it are the same as the last time,
+    and to check a description, 4 ms, takes as long as to simulate the plant for a tenth of a second.
+    """
+    return effect.apply(below.variant, axis, dict(values))
+
+
+class Problem:
+    """What has to be explained: the logs, block by block, and the nominal model."""
+
+    def __init__(self, nominal: Variant, records: Sequence[Record]) -> None:
+        """Prepare every block that the logs have the signals for."""
+        self.nominal = nominal
+        self.records = tuple(records)
+        self.whitens = True
+        self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
+        for record in records:
+            self.blocks[PLANT].append(PlantBlock(record, nominal))
+            if record.commanded is not None and record.command is not None:
+                self.blocks[CONTROLLER].append(ControllerBlock(record, nominal))
+            self._add_drive(record)
+
+    def _add_drive(self, record: Record) -> None:
+        """Prepare amplifier and windings, or without voltages both as one."""
+        if record.terminals is None:
+            return
+        found: dict[str, BlockOfLog] = {}
+        if record.terminals.voltage is not None:
+            found[WINDINGS] = WindingsBlock(record, self.nominal)
+        if record.command is not None and record.terminals.voltage is not None:
+            found[AMPLIFIER] = AmplifierBlock(record, self.nominal)
+        elif record.command is not None:
+            found[CURRENT_LOOP] = CurrentLoopBlock(record, self.nominal)
+        for block, part in found.items():
+            if part.channels:
+                self.blocks[block].append(part)
+
+    def touched(self, effect: Effect, axis: str) -> tuple[str, ...]:
+        """Return the blocks that an effect can change: those that read what its overlay says."""
+        overlay = effect.overlay(self.nominal, axis, effect.typical(self.nominal, axis))
+        found = []
+        if overlay.machine:
+            found.append(PLANT)
+        if overlay.pmac:
+            found.append(CONTROLLER)
+        if overlay.copley:
+            found.append(AMPLIFIER)
+        if ELECTRICAL & overlay.machine.keys():
+            found.append(WINDINGS)
+        if overlay.copley or ELECTRICAL & overlay.machine.keys():
+            found.append(CURRENT_LOOP)
+        return tuple(block for block in found if self.blocks[block])
+
+    def is_exact_limit(self, cause: Cause) -> bool:
+        """Return whether a cause is a limit in exact blocks alone: it acts from one tick to the next."""
+        blocks = self.touched(cause.effect, cause.axis)
+        return cause.effect.threshold and set(blocks) <= set(self.exact_blocks)
+
+    def sees_both_ends(self, axis: str) -> bool:
+        """Return whether every log has the encoders of an axis' motor and of its load."""
+        ends = {MOTOR_ENCODER[axis], POSITION_ENCODER[axis]}
+        return len(ends) == 2 and all(ends <= set(log.channels) for log in self.blocks[PLANT])
+
+    @property
+    def plants(self) -> list[PlantBlock]:
+        """The plant of every log."""
+        return cast('list[PlantBlock]', self.blocks[PLANT])
+
+    def residuals(self, variant: Variant, block: str) -> list[Array]:
+        """Return the residuals of a block, all channels of all logs."""
+        return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
+
+    def ideal(self, causes: Sequence[Cause]) -> Problem | None:
+        """
+        Return the same problem with the noise-free logs of the model with these causes.
+
+        None if a log does not have what it was commanded.
+        """
+        if any(record.commanded is None for record in self.records):
+            return None
+        variant = apply_all(self.nominal, causes)
+        return Problem(self.nominal, [simulate(variant, record) for record in self.records])
+
+    def coarse(self) -> Problem:
+        """
+        Return the same problem with residuals as they are, not whitened.
+
+        Far from the truth what is left over is no noise, and whitening would take out the very
+        thing that shows the way. What is below `ROUGH` floors is as good as nothing there, so that
+        noise of one channel is not paid for with the motion of another.
+        """
+        other = copy.copy(self)
+        other.whitens = False
+        return other
+
+    def quick(self) -> Problem:
+        """Return the same problem with longer steps of the plant: for what a cause changes in it."""
+        other = copy.copy(self)
+        other.blocks = {**self.blocks, PLANT: [part.in_encoder_ticks() for part in self.plants]}
+        return other
+
+    def channels(self, block: str) -> list[Channel]:
+        """Return every channel of a block, log by log."""
+        return [
+            Channel(log, name, noise if self.whitens else Noise(ROUGH * noise.floor, 0))
+            for log in self.blocks[block]
+            for name, noise in zip(log.channels, log.noises, strict=True)
+        ]
+
+    def noises(self, block: str) -> list[Noise]:
+        """Return what is known of the noise in every channel of a block."""
+        return [channel.noise for channel in self.channels(block)]
+
+    @property
+    def exact_blocks(self) -> list[str]:
+        """The blocks whose output follows from their input to the last bit: nothing to whiten."""
+        return [
+            block
+            for block, parts in self.blocks.items()
+            if parts and not any(noise.order for noise in self.noises(block))
+        ]
+
+    def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> dict[str, float]:
+        """Return by how much, in 2 ln L, each axis is less likely than one with nothing left over."""
+        found: dict[str, float] = {}
+        for channel, residual in zip(self.channels(block), residuals, strict=True):
+            there, none = (
+                likelihood([one], [channel.noise.alone()]).log_likelihood
+                for one in (residual, np.zeros_like(residual))
+            )
+            found[channel.axis] = found.get(channel.axis, 0.0) + 2.0 * (none - there)
+        return found
+
+    def plain_axes(self, block: str, residuals: Sequence[Array]) -> set[str]:
+        """Return the axes on which an exact block plainly does something else than its model."""
+        left = self.less_likely_than_nothing(block, residuals)
+        return {axis for axis, value in left.items() if value > PLAIN}
+
+    @property
+    def plant_rates_hz(self) -> list[float]:
+        """The rate of the plant's residual in every channel, log by log."""
+        return [rate for part in self.plants for rate in part.rates_hz]
+
+    def channel_names(self, block: str) -> list[str]:
+        """Return the name of every channel of a block, log by log."""
+        return [channel.name for channel in self.channels(block)]
+
+    def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
+        """Return how likely residuals are as they stand, block by block."""
+        return {
+            block: likelihood(channels, self.noises(block))
+            for block, channels in residuals.items()
+            if channels
+        }

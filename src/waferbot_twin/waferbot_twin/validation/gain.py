@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What an extension gains: nominal and extended model against logs that were not used for the fit.
+
+Error is simulated less measured position, its RMS by (4.2), the improvement by (6.1). With commanded
+positions the closed loop is simulated; without them the plant is driven by the measured currents, and
+the error is the innovation of an observer that is much slower than the one of the search: it leaves
+the model alone for about as long as `FREE_S`, and holds no more than its drift.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.metrics import performance_improvement, rms
+from waferbot_twin.residuals.closed_loop_record import simulate
+from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
+from waferbot_twin.residuals.record import Array, Record
+
+FREE_S = 0.08
+"""Time constant with which a plant without commands is held to the measurement, s: 2 Hz."""
+
+CYCLES = 8.0
+"""Cycles of that observer in a log at least, however short it is."""
+
+
+@dataclass(frozen=True)
+class AxisGain:
+    """One axis of one log: times in s, position and both errors in m or rad."""
+
+    log: str
+    axis: str
+    unit: str
+    time_s: Array
+    measured: Array
+    error_before: Array
+    error_after: Array
+    closed_loop: bool
+
+    @property
+    def rms_before(self) -> float:
+        """RMS error of the nominal model."""
+        return rms(self.error_before)
+
+    @property
+    def rms_after(self) -> float:
+        """RMS error of the extended model."""
+        return rms(self.error_after)
+
+    @property
+    def improvement_percent(self) -> float:
+        """Equation (6.1)."""
+        return performance_improvement(self.rms_before, self.rms_after)
+
+
+def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> list[AxisGain]:
+    """Return the gain of every axis in every log; raises `UserError` if a model is unstable."""
+    return [item for record in records for item in _gains_of(nominal, extended, record)]
+
+
+def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisGain]:
+    closed_loop = record.commanded is not None
+    errors = (_closed_loop_errors if closed_loop else _plant_errors)(nominal, extended, record)
+    found = []
+    for place, axis in enumerate(AXES):
+        encoder = nominal.description.encoders.get(ENCODERS[place])
+        if encoder is None or axis not in nominal.description.motors or place not in errors:
+            continue
+        time_s, measured, before, after = errors[place]
+        known = np.isfinite(measured) & (time_s >= record.judged_from_s)
+        unit = 'rad' if nominal.description.revolute[encoder.coordinate] else 'm'
+        found.append(
+            AxisGain(
+                record.name,
+                axis,
+                unit,
+                time_s[known],
+                measured[known] / encoder.counts_per_unit,
+                before[known] / encoder.counts_per_unit,
+                after[known] / encoder.counts_per_unit,
+                closed_loop,
+            )
+        )
+    return found
+
+
+Errors = dict[int, tuple[Array, Array, Array, Array]]
+"""By place of an encoder: times (s), reading, error of nominal and extended model (counts)."""
+
+
+def _closed_loop_errors(nominal: Variant, extended: Variant, record: Record) -> Errors:
+    time_s = np.arange(len(record.reading)) / record.timing.encoder_hz
+    before, after = (simulate(variant, record).reading for variant in (nominal, extended))
+    return {
+        place: (
+            time_s,
+            record.reading[:, place],
+            before[:, place] - record.reading[:, place],
+            after[:, place] - record.reading[:, place],
+        )
+        for place in range(len(ENCODERS))
+        if np.isfinite(record.reading[:, place]).any()
+    }
+
+
+def _plant_errors(nominal: Variant, extended: Variant, record: Record) -> Errors:
+    judged_s = record.duration_s - record.judged_from_s
+    observer_hz = min(max(1.0 / (2.0 * math.pi * FREE_S), CYCLES / judged_s), OBSERVER_HZ)
+    block = PlantBlock(record, nominal, observer_hz)
+    before, after = (block.innovations(variant) for variant in (nominal, extended))
+    return {
+        ENCODERS.index(channel): (
+            block.times_s(channel), block.measured(channel), -before[row], -after[row]
+        )
+        for row, channel in enumerate(block.channels)
+    }  # fmt: skip

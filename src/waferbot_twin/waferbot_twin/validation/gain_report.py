@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables and pictures of what a changed model gains over the nominal one."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib
+
+matplotlib.use('Agg')
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from waferbot_twin.plot import TITLES, scaled_unit
+from waferbot_twin.validation.gain import AxisGain
+
+BEFORE, AFTER, MEASURED = '#c46a1b', '#1f5fa8', '#222222'
+
+
+def gain_of_axes(gains: Sequence[AxisGain]) -> dict[str, Any]:
+    """Return the gain of every axis over all logs as plain values."""
+    return {
+        axis: _gain([item for item in gains if item.axis == axis])
+        for axis in dict.fromkeys(item.axis for item in gains)
+    }
+
+
+def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
+    """Return the gain of one axis over all judging logs."""
+    before = math.sqrt(float(np.mean([item.rms_before**2 for item in items])))
+    after = math.sqrt(float(np.mean([item.rms_after**2 for item in items])))
+    improvement = 100.0 * (before - after) / before if before > 0.0 else 0.0
+    return {
+        'unit': items[0].unit,
+        'rms_before': before,
+        'rms_after': after,
+        'improvement_percent': improvement,
+        'metrics': {
+            item.log: {
+                'rms_before': item.rms_before,
+                'rms_after': item.rms_after,
+                'improvement_percent': item.improvement_percent,
+            }
+            for item in items
+        },
+    }
+
+
+def draw_gains(gains: Sequence[AxisGain]) -> Figure:
+    """Draw positions and errors of both models for every axis of the first judging log."""
+    log = gains[0].log if gains else ''
+    items = [item for item in gains if item.log == log]
+    figure, panels = plt.subplots(
+        2, max(1, len(items)), figsize=(12.0, 5.4), squeeze=False, layout='constrained',
+        sharex='col',
+    )  # fmt: skip
+    for column, item in enumerate(items):
+        factor, unit = scaled_unit(item.measured - item.measured[0], item.unit)
+        for error, colour, label in (
+            (item.error_before, BEFORE, 'nominal model'),
+            (item.error_after, AFTER, 'extended model'),
+        ):
+            simulated = (item.measured + error) * factor
+            panels[0][column].plot(item.time_s, simulated, color=colour, lw=1.0, label=label)
+        panels[0][column].plot(
+            item.time_s, item.measured * factor, color=MEASURED, lw=1.0, ls=':', label='measured'
+        )
+        panels[0][column].set_title(
+            f'{TITLES[item.axis]}: {item.improvement_percent:.0f} % better'
+        )
+        panels[0][column].set_ylabel(f'position [{unit}]')
+        panels[0][column].legend(fontsize=8, loc='best')
+        factor, unit = scaled_unit(item.error_before, item.unit)
+        for error, colour, label in (
+            (item.error_before, BEFORE, f'nominal, RMS {item.rms_before * factor:.3g} {unit}'),
+            (item.error_after, AFTER, f'extended, RMS {item.rms_after * factor:.3g} {unit}'),
+        ):
+            panels[1][column].plot(item.time_s, error * factor, color=colour, lw=0.8, label=label)
+        panels[1][column].set_ylabel(f'simulated - measured [{unit}]')
+        panels[1][column].set_xlabel('time [s]')
+        panels[1][column].legend(fontsize=8, loc='best')
+        for row in range(2):
+            panels[row][column].grid(alpha=0.3)
+    figure.suptitle(log, fontsize=10)
+    return figure
+
+
+def gain_table(gains: Sequence[AxisGain]) -> str:
+    """Return the gain of every log and axis as a table of HTML."""
+    rows = ''.join(
+        f'<tr><td>{html.escape(item.log)}, {TITLES[item.axis]}</td>'
+        f'<td>{item.rms_before:.4g} {item.unit}</td><td>{item.rms_after:.4g} {item.unit}</td>'
+        f'<td>{item.improvement_percent:.1f} %</td></tr>'
+        for item in gains
+    )
+    return (
+        '<table><tr><th>log, axis</th><th>RMS error, nominal</th><th>RMS error, extended</th>'
+        f'<th>improvement (6.1)</th></tr>{rows}</table>'
+    )
