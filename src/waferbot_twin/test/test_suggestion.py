@@ -12,17 +12,16 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.likeness import likeness
-from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.signature_correlation import signature_correlation
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, strokes
 from waferbot_twin.suggestion.report import as_dict, sentence, table_rows, write
 from waferbot_twin.suggestion.rivals import named, of_report, read_report
-from waferbot_twin.suggestion.separation import Load, Machine, Separation, separations
+from waferbot_twin.suggestion.separation import TELLS_APART, Load, Machine, Separation, separations
 from waferbot_twin.suggestion.suggest import Rated, Suggestion, suggest
 
 TIMING = Timing()
@@ -235,8 +234,8 @@ def test_what_is_expected_is_what_a_noisy_log_then_gives(rigid):
         assert expected > 50.0
         # A difference of likelihoods of mean E has the variance 4 E; the colour is estimated, too.
         assert measured == pytest.approx(expected, abs=8.0 * math.sqrt(expected), rel=0.2)
-    assert likeness(problem, own, viscous, viscous) == pytest.approx(1.0)
-    alike = likeness(problem, own, viscous, rival.causes[0])
+    assert signature_correlation(problem, own, viscous, viscous) == pytest.approx(1.0)
+    alike = signature_correlation(problem, own, viscous, rival.causes[0])
     assert 0.3 < alike < 0.9999
 
 

@@ -33,9 +33,8 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.servo import MOTOR_KILLED
-from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+from waferbot_twin.diagnosis.diagnose import diagnose
 from waferbot_twin.diagnosis.report import as_dict
-from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.effects import find
 from waferbot_twin.effects.places import moving_inertia
 from waferbot_twin.effects.variant import Variant, built
@@ -45,8 +44,10 @@ from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.load import load_records
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
+from waferbot_twin.suggestion.separation import TELLS_APART
 from waferbot_twin.synthesis import with_noise
 from waferbot_twin.validation.gain import gains
 
@@ -312,9 +313,9 @@ def _compared(
         'reported': [
             {
                 'name': scoring.name_of(cause),
-                'confidence': cause['confidence'],
+                'probability': cause['probability'],
                 'delta_bic': cause['delta_bic'],
-                'group': cause['cannot_tell_from'],
+                'group': scoring.others_of(cause),
                 'values': {key: item['value'] for key, item in cause['parameters'].items()},
             }
             for cause in report['causes']

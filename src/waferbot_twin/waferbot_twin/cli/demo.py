@@ -105,11 +105,12 @@ def logs() -> Path:
 
 def _diagnose(folder: Path) -> Diagnosis:
     """Diagnose the logs that come with the package against the rigid model."""
-    from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+    from waferbot_twin.diagnosis.diagnose import diagnose
     from waferbot_twin.diagnosis.report import write
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
+    from waferbot_twin.residuals.load import load_records
 
     say('Logs of the machine as built, against the rigid model: what does it get wrong?')
     nominal = Variant.of(load_model('rigid'))

@@ -45,12 +45,13 @@ def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
     from waferbot_twin.cluster import cluster
     from waferbot_twin.diagnosis.console_report import print_diagnosis
-    from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+    from waferbot_twin.diagnosis.diagnose import diagnose
     from waferbot_twin.diagnosis.report import as_dict, write
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model_or_machine
+    from waferbot_twin.residuals.load import load_records
 
     for name in options.without:
         find(name)

@@ -36,13 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Identify, write the report, print the table."""
-    from waferbot_twin.diagnosis.diagnose import load_records
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.identification.identify import identify
     from waferbot_twin.identification.named_parameters import parse_all
     from waferbot_twin.identification.report import as_dict, remarks, table_rows, write
     from waferbot_twin.models import load_model
+    from waferbot_twin.residuals.load import load_records
 
     nominal = Variant.of(load_model(options.model))
     parameters = parse_all(options.parameter, nominal)

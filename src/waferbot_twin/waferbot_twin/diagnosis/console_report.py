@@ -15,7 +15,9 @@ def print_diagnosis(
 ) -> None:
     """Print causes, gains and the sentence; beside the gains those of `others` by axis, in percent."""
     if diagnosis.causes:
-        causes = new_table('what the model lacks', 'axis', 'value', '95 %', 'gain in BIC')
+        causes = new_table(
+            'what the model lacks', 'axis', 'value', '95 %', 'probability', 'share of the error'
+        )
         for found in diagnosis.causes:
             for item in found.parameters:
                 causes.add_row(
@@ -23,7 +25,8 @@ def print_diagnosis(
                     found.cause.axis,
                     f'{item.name} {significant(found.cause.values[item.name])} {item.unit}',
                     uncertainty(found, item),
-                    found.evidence,
+                    f'{found.probability:.2f}',
+                    f'{100.0 * found.share:.0f} %',
                 )
         result_console.print(causes)
     headings = ['log, axis', 'RMS nominal', 'RMS extended', 'improvement [%]']

@@ -2,182 +2,229 @@
 """
 A diagnosis from beginning to end: logs in, causes, what they gain, what stays unexplained.
 
-Logs are divided into those for finding and those for judging; with a single log its last part
-judges. `roles` says what causes they show, and what is left over that no effect of the library
-explains; the gain is measured on the judging logs alone (`gain`), and an extension that does not win
-there is withdrawn.
+The posterior over causes is that of all logs together (`inference.single_effects`). What is reported as
+gain is from logs that were not used for the fit: the same causes are fitted to the estimation data alone,
+and the extended model is simulated in the validation data. With a single log its last part validates. A
+cause without which the validation data are explained better is withdrawn (`validation.holdout`).
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.alike import Alike, alike, confidence_in, weighed_by_evidence
-from waferbot_twin.diagnosis.left_over import LeftOver
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, infer
+from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import Progress
-from waferbot_twin.diagnosis.roles import shown
-from waferbot_twin.diagnosis.search_state import Search
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, intervals_95
-from waferbot_twin.logs.bags import is_bag, read_bag
-from waferbot_twin.logs.load import load_log
-from waferbot_twin.recording.reader import recording_files, recording_of
-from waferbot_twin.residuals.from_measured_log import aligned_record, sized_by
-from waferbot_twin.residuals.from_recording import record_of
+from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
-from waferbot_twin.validation.gain import AxisGain, gains
+from waferbot_twin.validation.gain import AxisGain
+from waferbot_twin.validation.holdout import extension_that_wins
 
 HELD_OUT = 0.4
-"""Share of a single log that judges what was found in the rest."""
+"""Share of a single log that validates what was found in the rest."""
 
-UNFINISHED = 0.8
-"""Confidence at most in a cause on an axis on which something is left unexplained: likely, not more."""
+SHORTEST_S = 0.2
 
-DOUBTFUL = 0.5
-"""
-Confidence at most in a cause that leaves some over in a block where a right one leaves nothing, or on
-whose values the logs disagree.
-"""
+
+@dataclass(frozen=True)
+class Alternative:
+    """A member of a credible set: a candidate with its values, and its posterior probability."""
+
+    cause: Cause
+    probability: float
 
 
 @dataclass(frozen=True)
 class FoundCause:
     """
-    A cause with its evidence: gain, and what it cannot be told from.
+    A cause with what is known of it.
 
-    `intervals_95` are the ends of the 95 % interval of each parameter; one that was chosen from a few
-    has none.
+    probability     posterior probability that this is the cause, 0 to 1
+    credible_set    the fewest candidates that hold the cause with 95 %, the most probable first, this one
+                    among them
+    intervals_95    ends of the 95 % interval of each parameter; one that was chosen from a few has none
+    log_evidence    ln of the Bayes factor against none of it
+    share           share of what the nominal model leaves over on the cause's axis, mean square in the block
+                    where it shows most, that goes with it alone, 0 to 1
     """
 
     cause: Cause
     parameters: tuple[Parameter, ...]
     intervals_95: Intervals
-    delta_bic: float
-    confidence: float
-    alike: tuple[Alike, ...]
+    probability: float
+    credible_set: tuple[Alternative, ...]
+    log_evidence: float
+    share: float
 
     @property
-    def cannot_tell_from(self) -> tuple[str, ...]:
-        """Names of the causes that explain the logs as well."""
-        return tuple(item.cause.name for item in self.alike)
-
-    @property
-    def evidence(self) -> str:
-        """The gain as text; it is infinite where the model without the cause blows up."""
-        return f'{self.delta_bic:.0f}' if math.isfinite(self.delta_bic) else 'needed'
+    def alternatives(self) -> tuple[Alternative, ...]:
+        """The other members of the credible set."""
+        return tuple(item for item in self.credible_set if item.cause.name != self.cause.name)
 
 
 @dataclass
 class Diagnosis:
-    """The result of a diagnosis."""
+    """
+    The result of a diagnosis.
+
+    `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent` (the
+    model explains the logs). `residual_rms` has by block and channel what the nominal model leaves over.
+    """
 
     nominal: Variant
     extended: Variant
     verdict: str
     causes: list[FoundCause]
     withdrawn: list[Cause]
-    unexplained: Sequence[Cause]
-    unexplained_where: list[str]
+    unexplained: list[Unexplained]
     gains: list[AxisGain]
-    where: dict[str, dict[str, float]]
-    finding: list[str]
-    judging: list[str]
-    search: Search
+    residual_rms: dict[str, dict[str, float]]
+    estimation: list[str]
+    validation: list[str]
+    settings: Settings
+    before: Hypothesis
+    after: Hypothesis
+    channels: dict[str, list[str]]
+    tried: int
     runtime_s: float = 0.0
     notes: list[str] = field(default_factory=list)
 
 
-def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
-    """Return the records of logs; raises `UserError` for one that cannot be used."""
-    return [load_record(path, nominal) for path in paths]
-
-
-def load_record(path: Path, nominal: Variant) -> Record:
-    """
-    Return the record of a recording with the contract's topics, else of a measured log.
-
-    Raises `UserError` for a log that cannot be used.
-    """
-    if path.exists() and not is_bag(path):
-        raise UserError(
-            f'{path} is no recording; import it first: '
-            f'waferbot import {path} --map MAP.yaml --out DIR (docs/logs.md)'
-        )
-    content = read_bag(path)
-    recording = recording_of(path, recording_files(path)[0], content)
-    if any(len(array) for array in recording.topics.values()):
-        return record_of(recording, path, nominal)
-    return aligned_record(load_log(path, machine=nominal.machine_text, name=path.name), nominal)
-
-
 def diagnose(
     nominal: Variant,
-    finding: Sequence[Record],
-    judging: Sequence[Record],
+    estimation: Sequence[Record],
+    validation: Sequence[Record],
     progress: Progress,
     workers: int = 1,
     without: Sequence[str] = (),
+    settings: Settings | None = None,
 ) -> Diagnosis:
     """
     Diagnose logs against a model.
 
-    Logs for finding and for judging may change roles (`roles`): nothing is fitted to those that judge,
-    and the gain is measured on them.
-
-    `without` names effects that are left out of the library. Raises `UserError` if the logs are too
-    short.
+    `without` names effects that are left out of the library. Raises `UserError` if the logs are too short
+    or the nominal model does not run in their motions.
     """
     begun_s = time.perf_counter()
+    settings = settings or Settings()
     notes = []
-    if not judging:
-        finding, judging = _divide(finding)
-        notes.append('one log only: its last part judged what was found in the rest')
-    if any(record.commanded is None for record in (*finding, *judging)):
+    if not validation:
+        estimation, validation = _divide(estimation)
         notes.append(
-            'the controller was not looked at: that takes a recording with servo_state and '
-            'current_command, and a model that has a controller'
+            'one log only: the gain is that in its last part, which was not used for the fit'
         )
-    notes += list(dict.fromkeys(n for record in (*finding, *judging) for n in record.notes))
-    nominal = sized_by(finding, nominal)
-    problem, judge = Problem(nominal, finding), Problem(nominal, judging)
-    effects = offered_effects(problem, without)
-    result = shown(problem, judge, effects, progress, workers)
-    problem, judge, found, rest = result.problem, result.judge, result.found, result.rest
-    notes += result.notes
-    causes = (*found.found.causes, *rest.tables)
-    extended = apply_all(nominal, causes)
-    axis_gains = gains(nominal, extended, judge.records)
-    notes += _stands_for(extended, found.found.causes)
-    notes += _out_of_step(found.found.causes, axis_gains)
-    where = _where(problem, found)
-    found_causes = _found_causes(problem, judge, found, rest)
+    records = [*estimation, *validation]
+    if any(record.commanded is None for record in records):
+        notes.append(
+            'no commanded positions or no controller: the answer is weaker, as nothing tells what the '
+            'command made the machine do from what noise did'
+        )
+    notes += list(dict.fromkeys(n for record in records for n in record.notes))
+    nominal = sized_by(records, nominal)
+    problem = Problem(nominal, records)
+    effects = [*offered_effects(problem, without), *tables(nominal, records)]
+    pool = CandidatePool(problem, effects, settings, progress, workers)
+    posterior = infer(pool)
+    named = tuple(cause for cause in posterior.found.causes if not is_discrepancy(cause))
+    extension = extension_that_wins(nominal, named, estimation, validation)
+    notes += [
+        f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
+        for cause in extension.withdrawn
+    ]
+    posterior = posterior.without(problem, [cause.name for cause in extension.withdrawn])
+    left = unexplained(problem, posterior, settings)
+    causes = _found_causes(problem, posterior, settings)
+    extended = apply_all(nominal, [item.cause for item in causes])
+    notes += _stands_for(extended, [item.cause for item in causes])
     return Diagnosis(
         nominal,
         extended,
-        _verdict(found_causes, rest.axes),
-        found_causes,
-        list(result.withdrawn),
-        rest.tables,
-        rest.axes,
-        axis_gains,
-        where,
-        [record.name for record in problem.records],
-        [record.name for record in judge.records],
-        found,
+        _verdict(causes, left),
+        causes,
+        list(extension.withdrawn),
+        left,
+        extension.gains,
+        _residual_rms(problem, posterior.nothing),
+        [record.name for record in estimation],
+        [record.name for record in validation],
+        settings,
+        posterior.nothing,
+        posterior.found,
+        {block: problem.channel_names(block) for block in posterior.nothing.residuals},
+        posterior.tried,
         time.perf_counter() - begun_s,
         notes,
+    )
+
+
+def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
+    """Divide every log into a part for estimation and one for validation."""
+    estimation, validation = [], []
+    for record in records:
+        if record.duration_s < SHORTEST_S:
+            raise UserError(
+                f'{record.name} is {record.duration_s:.3f} s long; a diagnosis needs {SHORTEST_S} s at least'
+            )
+        border_s = (1.0 - HELD_OUT) * record.duration_s
+        estimation.append(record.part(0.0, border_s))
+        validation.append(record.part(border_s, record.duration_s))
+    return estimation, validation
+
+
+def _verdict(causes: Sequence[FoundCause], left: Sequence[Unexplained]) -> str:
+    if causes:
+        return 'partly' if left else 'explained'
+    return 'unexplained' if left else 'consistent'
+
+
+def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) -> list[FoundCause]:
+    """Return the named causes, what explains most first."""
+    found = posterior.found
+    errors = standard_errors(found)
+    result, first = [], 0
+    for place, (cause, effect) in enumerate(zip(found.causes, posterior.effects, strict=True)):
+        own = errors[first : first + cause.free]
+        first += cause.free
+        if is_discrepancy(cause):
+            continue
+        result.append(
+            FoundCause(
+                cause,
+                cause.effect.parameters(problem.nominal, cause.axis),
+                intervals_95(problem, found, place, own, []),
+                effect.best.probability,
+                _credible_set(effect, cause, settings),
+                effect.best.log_evidence,
+                posterior.share(problem, place),
+            )
+        )
+    return sorted(result, key=lambda item: -item.share)
+
+
+def _credible_set(
+    effect: SingleEffect, cause: Cause, settings: Settings
+) -> tuple[Alternative, ...]:
+    """Return the members of a credible set that have a physical name; the cause at its final values."""
+    members = effect.credible_set(settings.credible_level)
+    return tuple(
+        Alternative(cause if one.cause.name == cause.name else one.cause, one.probability)
+        for one in members
+        if not is_discrepancy(one.cause)
     )
 
 
@@ -192,78 +239,14 @@ def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
     ]
 
 
-def _out_of_step(causes: Sequence[Cause], axis_gains: Sequence[AxisGain]) -> list[str]:
-    """Say of each cause that is evident from the readings if the positions do not show its gain."""
-    lost = {item.axis for item in axis_gains if item.improvement_percent < 0.0}
-    return [
-        f'{cause.name} stands in the readings themselves; the RMS error does not show it, where machine '
-        'and model hunt on the steps of the encoder, but not in step with one another'
-        for cause in causes
-        if cause.effect.evident and cause.axis in lost
-    ]
-
-
-def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
-    """Divide every log into a part for finding and one for judging."""
-    finding, judging = [], []
-    for record in records:
-        if record.duration_s < 0.2:
-            raise UserError(
-                f'{record.name} is {record.duration_s:.3f} s long; a diagnosis needs 0.2 s at least'
-            )
-        border_s = (1.0 - HELD_OUT) * record.duration_s
-        finding.append(record.part(0.0, border_s))
-        judging.append(record.part(border_s, record.duration_s))
-    return finding, judging
-
-
-def _verdict(causes: Sequence[FoundCause], left_over: Sequence[str]) -> str:
-    if causes:
-        return 'partly' if left_over else 'explained'
-    return 'unexplained' if left_over else 'consistent'
-
-
-def _found_causes(
-    problem: Problem, judge: Problem, found: Search, rest: LeftOver
-) -> list[FoundCause]:
-    """Return the causes with their evidence, the strongest first."""
-    errors = standard_errors(found.found)
-    result, first = [], 0
-    for place, cause in enumerate(found.found.causes):
-        own = errors[first : first + cause.free]
-        first += cause.free
-        weighed = weighed_by_evidence(problem, judge, found, place)
-        confidence = confidence_in(weighed, len(found.found.causes))
-        if cause.axis in rest.axes:
-            confidence = min(confidence, UNFINISHED)
-        if rest.in_doubt(cause, problem):
-            confidence = min(confidence, DOUBTFUL)
-        result.append(
-            FoundCause(
-                cause,
-                cause.effect.parameters(problem.nominal, cause.axis),
-                intervals_95(problem, found.found, place, own, found.trials.get(cause.name, [])),
-                float(found.gains.get(cause.name, 0.0)),
-                confidence,
-                tuple(alike(problem, found, cause, weighed)),
-            )
-        )
-    return sorted(result, key=lambda item: -item.delta_bic)
-
-
-def _where(problem: Problem, found: Search) -> dict[str, dict[str, float]]:
-    """Return the RMS residual of every block and channel with the nominal model."""
-    return {
-        block: _channel_rms(problem, found.nothing, block)
-        for block, parts in problem.blocks.items()
-        if parts
-    }
-
-
-def _channel_rms(problem: Problem, hypothesis: Hypothesis, block: str) -> dict[str, float]:
-    squares: dict[str, list[float]] = {}
-    for axis, residual in zip(
-        problem.channel_names(block), hypothesis.residuals[block], strict=True
-    ):
-        squares.setdefault(axis, []).append(float(np.mean(residual**2)))
-    return {axis: math.sqrt(float(np.mean(values))) for axis, values in squares.items()}
+def _residual_rms(problem: Problem, hypothesis: Hypothesis) -> dict[str, dict[str, float]]:
+    """Return the RMS residual of every block and channel, all logs together."""
+    found: dict[str, dict[str, float]] = {}
+    for block, residuals in hypothesis.residuals.items():
+        parts: dict[str, list[np.ndarray]] = {}
+        for name, residual in zip(problem.channel_names(block), residuals, strict=True):
+            parts.setdefault(name, []).append(residual)
+        found[block] = {
+            name: float(np.sqrt(np.mean(np.concatenate(own) ** 2))) for name, own in parts.items()
+        }
+    return found

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import math
 from pathlib import Path
@@ -16,7 +17,6 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from waferbot_twin.cli.console import finite, significant
-from waferbot_twin.diagnosis.alike import Alike
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis
@@ -32,7 +32,7 @@ from waferbot_twin.validation.gain_report import (
     gain_table,
 )
 
-SCHEMA = 1
+SCHEMA = 2
 
 ROUNDING = 1e-9
 """RMS residual (counts, A or V) below which nothing is left over."""
@@ -48,61 +48,55 @@ MOST_NAMED = 6
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """Return which effect, on which axis, how sure, what it gains, and what stays unexplained."""
-    parts = [_one_cause(found) for found in diagnosis.causes]
-    if not parts and not diagnosis.unexplained_where:
-        return 'Nothing significant is wrong: the model explains the logs.'
-    lines = []
-    if parts:
-        more = len(parts) - MOST_NAMED
-        rest = f'; and {more} more' if more > 0 else ''
-        lines.append('The machine has ' + '; '.join(parts[:MOST_NAMED]) + rest + '.')
-        best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
-        if best is not None and best.improvement_percent >= HARDLY_PERCENT:
-            lines.append(
-                f'With it the error in logs that were not used for the fit falls by '
-                f'{best.improvement_percent:.1f} % on {TITLES[best.axis]}.'
-            )
-        elif best is not None:
-            lines.append(
-                'The RMS error in logs that were not used for the fit hardly shows it (best: '
-                f'{best.improvement_percent:+.1f} % on {TITLES[best.axis]}).'
-            )
-    if diagnosis.unexplained_where:
-        axes = ', '.join(TITLES[axis] for axis in dict.fromkeys(diagnosis.unexplained_where))
-        described = ', '.join(cause.effect.name for cause in diagnosis.unexplained)
-        lines.append(
-            f'Unexplained on {axes}' + (f', described by {described}.' if described else '.')
+    """Return in a few words what explains most of the error, how sure that is, and what stays open."""
+    if not diagnosis.causes:
+        if not diagnosis.unexplained:
+            return 'Nothing significant is wrong: the model explains the logs.'
+        return f'No known cause explains {_places_left(diagnosis)}.'
+    first = diagnosis.causes[0]
+    text = f'{in_words(first)} on {TITLES[first.cause.axis]} {_reading(first)}'
+    more = len(diagnosis.causes) - 1
+    if more:
+        text += f', with {more} more {"causes" if more > 1 else "cause"}'
+    text += '.'
+    best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
+    if best is not None and best.improvement_percent >= HARDLY_PERCENT:
+        text += (
+            f' The error in the validation data falls by {best.improvement_percent:.0f} % on '
+            f'{TITLES[best.axis]}.'
         )
-    return ' '.join(lines)
-
-
-def _alike(item: Alike) -> str:
-    return f'{item.cause.name} (correlation of their signatures {item.correlation:.3f})'
-
-
-def _one_cause(found: FoundCause) -> str:
-    cause = found.cause
-    values = ', '.join(
-        f'{item.name} {significant(cause.values[item.name])} {item.unit}'.rstrip()
-        for item in found.parameters
-    )
-    text = f'{cause.effect.name} on {TITLES[cause.axis]} ({values}; {_sure(found)})'
-    if found.cannot_tell_from:
-        text += f', which this data cannot tell from {", ".join(map(_alike, found.alike))}'
+    if diagnosis.unexplained:
+        text += f' Unexplained: {_places_left(diagnosis)}.'
     return text
 
 
-def _sure(found: FoundCause) -> str:
-    if found.confidence > 0.99:
-        return 'beyond doubt'
-    if found.confidence > 0.9:
-        return 'very likely'
-    return 'likely' if found.confidence > 0.6 else 'perhaps'
+def _places_left(diagnosis: Diagnosis) -> str:
+    axes = dict.fromkeys(TITLES[item.axis] for item in diagnosis.unexplained)
+    return 'something on ' + ', '.join(axes)
+
+
+def in_words(found: FoundCause) -> str:
+    """Return a cause with its main value: what an engineer calls it, how large, in its unit."""
+    name = found.cause.effect.name.replace('_', ' ')
+    main = next((item for item in found.parameters if not item.shape), None)
+    if main is None:
+        return name
+    value = f'{significant(found.cause.values[main.name])} {main.unit}'.rstrip()
+    return f'{name} ({main.name} {value})'
+
+
+def _reading(found: FoundCause) -> str:
+    """Return how a probability reads; with what the cause cannot be told from."""
+    if found.probability >= 0.95:
+        return 'is there beyond doubt'
+    others = ', '.join(item.cause.effect.name.replace('_', ' ') for item in found.alternatives)
+    doubt = 'likely' if found.probability >= 0.8 else 'perhaps'
+    rest = f'; these logs cannot tell it from {others}' if others else ''
+    return f'explains it, {doubt} (probability {found.probability:.2f}{rest})'
 
 
 def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the diagnosis as plain values, as `report.json` has them (schema 1)."""
+    """Return the diagnosis as plain values, as `report.json` has them (schema 2)."""
     return {
         'schema': SCHEMA,
         'model': diagnosis.nominal.name,
@@ -110,15 +104,16 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'sentence': sentence(diagnosis),
         'causes': [_cause(found) for found in diagnosis.causes],
         'withdrawn': [cause.name for cause in diagnosis.withdrawn],
-        'unexplained': _unexplained(diagnosis),
-        'where': diagnosis.where,
+        'unexplained': [dataclasses.asdict(item) for item in diagnosis.unexplained],
+        'residual_rms': diagnosis.residual_rms,
         'gain': {
-            'validation': diagnosis.judging,
+            'validation': diagnosis.validation,
             'axes': gain_of_axes(diagnosis.gains),
         },
-        'logs': {'finding': diagnosis.finding, 'judging': diagnosis.judging},
+        'logs': {'estimation': diagnosis.estimation, 'validation': diagnosis.validation},
         'notes': diagnosis.notes,
-        'tried': diagnosis.search.tried,
+        'settings': dataclasses.asdict(diagnosis.settings),
+        'tried': diagnosis.tried,
         'runtime_s': diagnosis.runtime_s,
     }
 
@@ -149,30 +144,17 @@ def _cause(found: FoundCause) -> dict[str, Any]:
             }
             for item in found.parameters
         },
-        'confidence': found.confidence,
-        'delta_bic': found.delta_bic,
-        'cannot_tell_from': list(found.cannot_tell_from),
-        'rivals': [
+        'probability': found.probability,
+        'log_evidence': found.log_evidence,
+        'share': found.share,
+        'credible_set': [
             {
                 'effect': item.cause.effect.name,
                 'axis': item.cause.axis,
+                'probability': item.probability,
                 'values': item.cause.values,
-                'behind': item.behind,
-                'correlation': item.correlation,
             }
-            for item in found.alike
-        ],
-    }
-
-
-def _unexplained(diagnosis: Diagnosis) -> dict[str, Any] | None:
-    if not diagnosis.unexplained_where:
-        return None
-    return {
-        'axes': list(dict.fromkeys(diagnosis.unexplained_where)),
-        'described_by': [
-            {'table': cause.effect.name, 'axis': cause.axis, 'values': cause.values}
-            for cause in diagnosis.unexplained
+            for item in found.credible_set
         ],
     }
 
@@ -203,8 +185,8 @@ def page(diagnosis: Diagnosis) -> str:
         '<h2>Causes</h2>',
         _cause_table(diagnosis),
         '<h2>Logs</h2>',
-        f'<p>Found in {html.escape(", ".join(diagnosis.finding))}; judged by '
-        f'{html.escape(", ".join(diagnosis.judging))}. {diagnosis.search.tried} effects were tried '
+        f'<p>Estimation: {html.escape(", ".join(diagnosis.estimation))}; validation: '
+        f'{html.escape(", ".join(diagnosis.validation))}. {diagnosis.tried} effects were tried '
         f'in {diagnosis.runtime_s:.0f} s.</p>',
     ]
     return html_page('Diagnosis', body)
@@ -216,10 +198,10 @@ def _draw_residuals(diagnosis: Diagnosis) -> Figure:
 
     Channels of which nothing but rounding is left have no panel.
     """
-    before, after = diagnosis.search.nothing, diagnosis.search.found
+    before, after = diagnosis.before, diagnosis.after
     shown = [
         (block, place, name)
-        for block, channels in diagnosis.where.items()
+        for block, channels in diagnosis.residual_rms.items()
         for place, (name, left) in enumerate(channels.items())
         if left > ROUNDING
     ]
@@ -273,10 +255,18 @@ def _cause_table(diagnosis: Diagnosis) -> str:
         rows += (
             f'<tr><td>{found.cause.effect.name}<br><small>{html.escape(found.cause.effect.summary)}'
             f'</small></td><td>{TITLES[found.cause.axis]}</td><td>{values}</td>'
-            f'<td>{found.evidence}</td><td>{100 * found.confidence:.0f} %</td>'
-            f'<td>{"<br>".join(map(_alike, found.alike)) or "-"}</td></tr>'
+            f'<td>{100 * found.probability:.0f} %</td><td>{100 * found.share:.0f} %</td>'
+            f'<td>{_set_in_words(found)}</td></tr>'
         )
     return (
-        '<table><tr><th>effect</th><th>axis</th><th>parameters (95 %)</th><th>gain in BIC</th>'
-        f'<th>confidence</th><th>cannot tell from</th></tr>{rows}</table>'
+        '<table><tr><th>effect</th><th>axis</th><th>parameters (95 %)</th><th>probability</th>'
+        f'<th>share of the error</th><th>credible set</th></tr>{rows}</table>'
+    )
+
+
+def _set_in_words(found: FoundCause) -> str:
+    """Return the members of a credible set, each with its probability."""
+    return '<br>'.join(
+        f'{item.cause.effect.name.replace("_", " ")} ({item.cause.axis}) {100 * item.probability:.0f} %'
+        for item in found.credible_set
     )

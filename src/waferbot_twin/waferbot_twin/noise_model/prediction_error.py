@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
+from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
 Array = NDArray[np.float64]
 
@@ -54,12 +55,13 @@ class Noise:
     perfect fit is not infinitely likely. `order` is that of the autoregression, 0 for white noise.
     `beside` says how many places further on in the list of channels that one is with which it makes
     a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
-    the same times.
+    the same times. With `shapes` the spectrum is a sum of those (`variance_components`), not any one.
     """
 
     floor: float
     order: int
     beside: int = 0
+    shapes: Shapes | None = None
 
     def alone(self) -> Noise:
         """Return the noise of the channel by itself."""
@@ -124,6 +126,8 @@ def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> Pr
     order = noise.order
     if order == 0:
         return PredictionError(np.ones(1), np.zeros(0), 0)
+    if noise.shapes is not None:
+        return _with_shapes(channels, place, noise, noise.shapes)
     both = [channels[place + further] for further in dict.fromkeys((0, noise.beside))]
     both = [channel - channel.mean() for channel in both]
     moments = np.block([[_moments(x, y, order) for y in both] for x in both])
@@ -141,6 +145,24 @@ def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> Pr
     taps[order] = 1.0
     mine, others = taps[: order + 1][::-1], taps[order + 1 :][::-1]
     return PredictionError(mine, others, noise.beside)
+
+
+def _with_shapes(
+    channels: Sequence[Array], place: int, noise: Noise, shapes: Shapes
+) -> PredictionError:
+    """
+    Return the filter of a channel whose noise has one of the possible spectra.
+
+    The second of a pair is compared with the first at the same time: r - b q, b by least squares.
+    """
+    residual = channels[place]
+    if noise.beside >= 0:
+        return PredictionError(prediction_filter(residual, noise.order, shapes), np.zeros(0), 0)
+    first = channels[place + noise.beside]
+    square = float(first @ first)
+    share = float(first @ residual) / square if square > 0.0 else 0.0
+    own = prediction_filter(residual - share * first, noise.order, shapes)
+    return PredictionError(own, -share * own, noise.beside)
 
 
 def _moments(x: Array, y: Array, order: int) -> Array:

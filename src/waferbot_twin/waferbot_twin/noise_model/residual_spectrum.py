@@ -20,12 +20,15 @@ coloured noise by its spectrum, E. J. Hannan, Multiple Time Series, 1970, chapte
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_twin.noise_model.prediction_error import Fit, prediction_errors
+from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
 Array = NDArray[np.float64]
 
@@ -34,6 +37,11 @@ FEWEST = 4
 
 BAND = 0.25
 """Half of a band, as a share of its middle frequency."""
+
+COSINES = 8
+"""
+K of equation (1): few enough that noise has the same power in all of them, up to K / 2T Hz in a log of T s.
+"""
 
 
 def spectrum(white: Array) -> Array:
@@ -83,17 +91,73 @@ class Whitening:
         ]
 
 
+@functools.lru_cache(maxsize=16)
+def cosines(count: int) -> Array:
+    """Return the first K cosines over N samples, (N, K), each of them with the mean square 1."""
+    middle = (np.arange(count) + 0.5) / count
+    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * np.outer(middle, np.arange(1, COSINES + 1))))
+
+
+@dataclass(frozen=True)
+class Power:
+    """The power of noise in a direction, and how many degrees of freedom it was estimated with."""
+
+    value: float
+    freedom: float
+
+    def log_likelihood_ratio(self, squares: float) -> float:
+        """
+        Return ln of the likelihood ratio of a change that lowers the sum of squares by so much.
+
+        (nu + 1) / 2 ln(1 + squares / (lambda nu)), that of Student's t: squares / (2 lambda) if nu is
+        large. Antisymmetric.
+        """
+        size = abs(squares) / self.value
+        if math.isinf(self.freedom):
+            return 0.5 * math.copysign(size, squares)
+        own = 0.5 * (self.freedom + 1.0) * math.log1p(size / self.freedom)
+        return math.copysign(own, squares)
+
+
+def power_along(
+    left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
+) -> Power:
+    """
+    Return the power of the noise in a direction d, white noise of unit variance having 1:
+
+        lambda = sum over c of J_c / sum of |d_c|^2,     J_c = 1/K sum over k of (sum over n of q_k d_c e_c)^2.  (1)
+
+    `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as `colours` say;
+    q_k are the first K cosines over the samples. J is the long-run variance of d e (E. Lazarus, D. Lewis,
+    J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018: equal-weighted cosines), right whatever
+    the colour of e, and where e is larger while the axis moves. It has K degrees of freedom in a channel, and
+    nu = (sum J_c)^2 / sum(J_c^2 / K) in all (Satterthwaite). Of a channel that follows to the last bit, where
+    no noise is, J_c is |d_c|^2 and exact.
+    """
+    total = noisy = uncertain = 0.0
+    for white, change, colour in zip(left, changes, colours, strict=True):
+        square = float(change @ change)
+        total += square
+        if square == 0.0 or not colour.error.order:
+            noisy += square
+            continue
+        own = float(np.mean((cosines(len(white)).T @ (change * white)) ** 2))
+        noisy += own
+        uncertain += own**2 / COSINES
+    if noisy <= 0.0:
+        return Power(1.0, math.inf)
+    return Power(noisy / total, noisy**2 / uncertain if uncertain > 0.0 else math.inf)
+
+
 def covariance(system: Array, estimate: Fit) -> Array:
     """
     Return the covariance (k, k) of what is fitted to white rows A, `system` (N, k), with a joint fit.
 
-    Least squares with noise that has the spectrum S_c in channel c, and not 1, has the covariance
+    Least squares with noise that is not as assumed have the sandwich covariance
 
-        (A' A)^-1 (sum over c of A_c' S_c A_c) (A' A)^-1,
+        (A' A)^-1 (sum over c of J_c) (A' A)^-1,
 
-    where S_c acts on every frequency of the columns of A_c. Where a band has less noise than 1, 1 is
-    taken: the fit has taken noise away where it can, and an average over few lines is too low as often
-    as too high.
+    J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact channel A_c' A_c.
     """
     scale = np.linalg.norm(system, axis=0)
     scale[scale == 0.0] = 1.0
@@ -102,12 +166,9 @@ def covariance(system: Array, estimate: Fit) -> Array:
     noisy = np.zeros_like(inverse)
     parts = np.split(rows, np.cumsum([len(white) for white in estimate.whitened])[:-1])
     for part, white, one in zip(parts, estimate.whitened, estimate.colours, strict=True):
-        noisy += part.T @ (_louder(part, white) if one.error.order else part)
+        if one.error.order:
+            projected = cosines(len(white)).T @ (part * white[:, None])
+            noisy += projected.T @ projected / COSINES
+        else:
+            noisy += part.T @ part
     return np.asarray(inverse @ noisy @ inverse / np.outer(scale, scale), np.float64)
-
-
-def _louder(part: Array, white: Array) -> Array:
-    """Return rows (N, k), each frequency times what the noise there has more than white noise has."""
-    power = spectrum(white) / max(float(np.mean(white**2)), 1e-300)
-    lines = np.fft.rfft(part, axis=0) * np.maximum(power, 1.0)[:, None]
-    return np.asarray(np.fft.irfft(lines, len(part), axis=0), np.float64)

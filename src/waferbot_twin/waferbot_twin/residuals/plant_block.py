@@ -63,6 +63,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.noise_model.variance_components import Shapes
 from waferbot_twin.residuals.record import Array, Record, common_step
 
 OBSERVER_HZ = 80.0
@@ -144,8 +145,15 @@ class PlantBlock:
         shortest = min((len(samples) for samples in self._samples), default=0)
         self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
         self.noises = [
-            Noise(floor, self.order, beside)
-            for floor, beside in zip(floors, self._beside(), strict=True)
+            Noise(
+                floor,
+                self.order,
+                beside,
+                Shapes(rate_hz, float(self._observer_hz[place]), OBSERVER_DAMPING),
+            )
+            for floor, beside, rate_hz, place in zip(
+                floors, self._beside(), self.rates_hz, self._places, strict=True
+            )
         ]
 
     def _beside(self) -> list[int]:

@@ -49,8 +49,8 @@ def read_report(path: Path) -> Mapping[str, Any]:
         ) from None
     except ValueError as error:
         raise UserError(f'{file} is no report of a diagnosis ({error})') from None
-    if not isinstance(report, dict) or not isinstance(report.get('causes'), list):
-        raise UserError(f'{file} is no report of a diagnosis: it has no causes')
+    if not isinstance(report, dict) or report.get('schema') != 2:
+        raise UserError(f'{file} is no report of a diagnosis, or one of another version')
     return report
 
 
@@ -61,7 +61,7 @@ def of_report(report: Mapping[str, Any], variant: Variant, wanted: str | None) -
     `wanted` names another one, EFFECT:AXIS. Raises `UserError` if there is none.
     """
     causes = {f'{item["effect"]}:{item["axis"]}': item for item in report['causes']}
-    unsure = {name: item for name, item in causes.items() if item.get('rivals')}
+    unsure = {name: item for name, item in causes.items() if len(item['credible_set']) > 1}
     if not unsure:
         raise UserError(
             'the report has no cause that could not be told from another; name two with --rivals'
@@ -76,7 +76,11 @@ def of_report(report: Mapping[str, Any], variant: Variant, wanted: str | None) -
         _cause(item, _values(item), variant) for other, item in causes.items() if other != name
     )
     own = unsure[name]
-    rivals = [_cause(item, item['values'], variant) for item in own['rivals']]
+    rivals = [
+        _cause(item, item['values'], variant)
+        for item in own['credible_set']
+        if f'{item["effect"]}:{item["axis"]}' != name
+    ]
     return Group((_cause(own, _values(own), variant), *rivals), others)
 
 

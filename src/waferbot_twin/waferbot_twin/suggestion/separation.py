@@ -38,6 +38,9 @@ from waferbot_twin.synthesis import with_noise
 Channels = dict[str, list[Array]]
 """Residuals of the channels of every block."""
 
+TELLS_APART = 10.0
+"""Difference in 2 ln L from which on an experiment tells two causes apart."""
+
 ROUNDS = 2
 """How often the rival is fitted, each time with the whitening of what the last one left."""
 

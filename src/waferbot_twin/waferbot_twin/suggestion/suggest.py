@@ -21,11 +21,10 @@ from joblib import Parallel, delayed
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.search_state import TELLS_APART
 from waferbot_twin.residuals.problem import Cause, apply_all
 from waferbot_twin.residuals.record import Array
 from waferbot_twin.suggestion.candidates import Candidate, changed, designed, library
-from waferbot_twin.suggestion.separation import Machine, Separation, separations
+from waferbot_twin.suggestion.separation import TELLS_APART, Machine, Separation, separations
 
 Progress = Callable[[int, int], None]
 

@@ -22,7 +22,7 @@ from joblib import Parallel, delayed
 from scipy.signal import hilbert
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.proposals.screening import Screened
+from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -142,7 +142,7 @@ def screen_damped(
     pool = Parallel(n_jobs=workers, batch_size=1)
     each = pool(delayed(_damped)(problem, base, cause, quick) for cause in stiff)
     return [
-        Screened(tried, gain - math.log(base.samples), np.zeros(1))
+        untempered(tried, 0.5 * (gain - math.log(base.samples)))
         for found in each
         for tried, gain in found
     ]

@@ -27,7 +27,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-import numpy as np
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
@@ -43,7 +42,7 @@ from waferbot_twin.diagnosis.proposals.compliance_scan import (
     promise,
     values_tried,
 )
-from waferbot_twin.diagnosis.proposals.screening import Screened
+from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.diagnosis.proposals.spectral_lines import (
     NEAR,
     SAME_RATE,
@@ -87,7 +86,7 @@ def screen_lines(
     pool = Parallel(n_jobs=workers, batch_size=1)
     each = pool(delayed(_at_lines)(problem, base, cause, found, ideal) for cause in stiff)
     return [
-        Screened(tried, gain - math.log(base.samples), np.zeros(1))
+        untempered(tried, 0.5 * (gain - math.log(base.samples)))
         for at_lines in each
         for tried, gain in at_lines
     ]

@@ -28,6 +28,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.repetition import can_repeat
 from waferbot_twin.diagnosis.proposals.threshold_grid import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
+from waferbot_twin.estimation.evidence import log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -36,13 +37,9 @@ from waferbot_twin.estimation.hypothesis import (
     signature,
     whole_change,
 )
-from waferbot_twin.estimation.stacked_least_squares import (
-    Residuals,
-    Signature,
-    by_channel,
-    fit_jointly,
-    side_by_side,
-)
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
+from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.residual_spectrum import Power, power_along
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -71,12 +68,14 @@ class Screened:
     """
     A candidate with its linear fit.
 
-    `score` is 2 (ln L_1 - ln L_0) - k ln N; `value` the change of its parameters from where they are.
+    `score` is ln BF against none of it; `value` the change of its parameters from where they are. `likelihood`
+    is ln BF in noise whose power is known: it ranks candidates of which all are beyond doubt.
     """
 
     cause: Cause
     score: float
     value: Array
+    likelihood: float
 
 
 def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
@@ -177,15 +176,20 @@ def screen(
     rivals: Sequence[Cause],
     of_rivals: Sequence[Change | None],
     of_base: Sequence[Signature],
+    scales: Sequence[float],
     workers: int = 1,
 ) -> list[Screened]:
-    """Fit every rival linearly, each beside the causes of `base`; best first."""
+    """
+    Return the evidence for every rival beside the causes of `base`, in a linear problem; best first.
+
+    `scales` are those of the prior of sizes (`estimation.evidence`).
+    """
     asked = [pair for pair in zip(rivals, of_rivals, strict=True) if pair[1] is not None]
     chunks = [asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK)]
     pool = Parallel(n_jobs=workers if len(chunks) > 1 else 1)
-    parts = pool(delayed(_screen)(problem, base, chunk, of_base) for chunk in chunks)
+    parts = pool(delayed(_screen)(problem, base, chunk, of_base, scales) for chunk in chunks)
     found = [item for part in parts for item in part]
-    return sorted(found, key=lambda item: (-item.score, item.cause.name))
+    return sorted(found, key=lambda item: (-item.likelihood, item.cause.name))
 
 
 def _screen(
@@ -193,73 +197,149 @@ def _screen(
     base: Hypothesis,
     asked: Sequence[tuple[Cause, Change]],
     of_base: Sequence[Signature],
+    scales: Sequence[float],
 ) -> list[Screened]:
+    every = _white(base, side_by_side(of_base, [_columns(item) for item in of_base]))
     found = []
     for rival, change in asked:
         shown = {block: matrix for block, matrix in change.signature.items() if matrix.any()}
         if not shown:
             continue
-        parameters = rival.free
-        whole = _tried_as_a_whole(problem, rival)
-        count = 1 if whole else parameters
-        beside = [item for item in of_base if shown.keys() & item.keys()]
-        everything = side_by_side(
-            [
-                shown,
-                *({block: item[block] for block in shown if block in item} for item in beside),
-            ],
-            [count, *(next(iter(item.values())).shape[1] for item in beside)],
+        own = _white(base, shown)
+        there = _white(
+            base, {block: change.there[block][:, None] for block in shown if block in change.there}
         )
-        residuals = _with_change(base.residuals, change.there)
-        known = {} if change.there else base.fits
-        estimate = fit_jointly(problem, residuals, everything, rounds=2, known=known)
-        if rival.effect.tone in rival.narrow:  # a strong tone may pass for the colour of the noise
-            other = fit_jointly(
-                problem, residuals, everything, rounds=2, from_white=True, known=known
-            )
-            estimate = max(estimate, other, key=lambda item: item.log_likelihood)
-        before = sum(base.fits[block].log_likelihood for block in shown)
-        gain = 2.0 * (estimate.log_likelihood - before)
-        value = estimate.value[:count]
-        if whole:
-            as_tried = _gain_as_tried(problem, base, shown)
-            possible = value[0] > 0.0 or as_tried > gain
-            # Half of the steps that readings show themselves is not to be had.
-            gain = as_tried if rival.effect.evident else max(gain, as_tried)
-            value = np.zeros(parameters)
+        linear = _Linear.of(base, own, there, every)
+        if _tried_as_a_whole(problem, rival):
+            item = linear.as_a_whole(rival)
         else:
-            possible = _possible(problem, rival, value)
-        if possible:
-            found.append(Screened(rival, gain - parameters * math.log(base.samples), value))
+            item = linear.with_values(problem, rival, scales)
+        if item is not None:
+            found.append(item)
     return found
 
 
-def _gain_as_tried(problem: Problem, base: Hypothesis, shown: Signature) -> float:
-    """
-    Return what a candidate gains in 2 ln L in the size in which it is tried.
-
-    Where the model is far from the machine a linear fit does not find that: its noise is as smooth as
-    the change, and whitening takes out both.
-    """
-    changed = {block: matrix[:, 0] for block, matrix in shown.items()}
-    residuals = _with_change({block: base.residuals[block] for block in shown}, changed)
-    return sum(
-        2.0 * (fit.log_likelihood - base.fits[block].log_likelihood)
-        for block, fit in problem.judge(residuals).items()
-    )
+def _columns(signature: Signature) -> int:
+    return next(iter(signature.values())).shape[1]
 
 
-def _with_change(residuals: Residuals, there: Mapping[str, Array]) -> Residuals:
-    """Return residuals with what a little of a candidate changes."""
+_White = dict[str, list[Array]]
+"""By block, the white signature of every channel: (N, k)."""
+
+
+def _white(base: Hypothesis, signature: Signature) -> _White:
+    """Return a signature filtered by the noise model of `base`."""
     return {
-        block: [
-            one + more
-            for one, more in zip(channels, by_channel(there[block], channels), strict=True)
-        ]
-        if block in there
-        else channels
-        for block, channels in residuals.items()
+        block: in_deviations(base.fits[block].colours, by_channel(matrix, base.residuals[block]))
+        for block, matrix in signature.items()
     }
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """
+    Least squares of white residuals on a candidate's signature beside that of the known causes.
+
+    `value` (k,) of the candidate's parameters, their `spread` (k, k) in noise of the power along what
+    the fit changes, known to be `power`; by how much the sum of squares falls, and by how much with the
+    candidate's signature as large as it is, in noise of the power `as_it_is`; `square` that of the whole
+    signature over its power.
+    """
+
+    value: Array
+    spread: Array
+    power: Power
+    squares: float
+    square: float
+    as_it_is: Power
+    squares_as_it_is: float
+
+    @classmethod
+    def of(cls, base: Hypothesis, own: _White, there: _White, beside: _White) -> _Linear:
+        """Fit `own`, of which `there` is there already, beside others."""
+        before, rows, colours = [], [], []
+        for block, parts in own.items():
+            fit = base.fits[block]
+            others = beside.get(block)
+            for place, (part, left) in enumerate(zip(parts, fit.whitened, strict=True)):
+                before.append(left + there[block][place][:, 0] if block in there else left)
+                rows.append(np.hstack([part, others[place]]) if others else part)
+            colours += fit.colours
+        count = next(iter(own.values()))[0].shape[1]
+        width = max(part.shape[1] for part in rows)
+        rows = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in rows]
+        system, right = np.vstack(rows), -np.concatenate(before)
+        scale = np.linalg.norm(system, axis=0)
+        scale[scale == 0.0] = 1.0
+        inverse = np.linalg.pinv(
+            (system / scale).T @ (system / scale), rcond=1e-10, hermitian=True
+        )
+        solution = inverse @ ((system / scale).T @ right) / scale
+        left = [one + part @ solution for one, part in zip(before, rows, strict=True)]
+        change = [one - two for one, two in zip(before, left, strict=True)]
+        power = power_along(left, change, colours)
+        squares = sum(float(one @ one) for one in before) - sum(float(one @ one) for one in left)
+        began = sum(float(one @ one) for block in own for one in base.fits[block].whitened)
+        squares += began - sum(float(one @ one) for one in before)
+        first = [part[:, 0] for part in rows]
+        moved = [one + part for one, part in zip(before, first, strict=True)]
+        as_it_is = began - sum(float(one @ one) for one in moved)
+        return cls(
+            solution[:count],
+            power.value * (inverse / np.outer(scale, scale))[:count, :count],
+            power,
+            squares,
+            sum(float(part @ part) for part in first) / power.value,
+            power_along(moved, first, colours),
+            as_it_is,
+        )
+
+    def as_a_whole(self, rival: Cause) -> Screened | None:
+        """Return the evidence for a candidate whose signature is all that it changes at its values."""
+        fitted = self.power, self.squares
+        as_it_is = self.as_it_is, self.squares_as_it_is
+        better = as_it_is[1] / as_it_is[0].value > fitted[1] / fitted[0].value
+        if self.value[0] <= 0.0 and not better:
+            return None
+        # Half of the steps that readings show themselves is not to be had.
+        power, squares = as_it_is if better or rival.effect.evident else fitted
+        return _screened(
+            rival, np.zeros(rival.free), power, squares, -0.5 * math.log1p(self.square)
+        )
+
+    def with_values(
+        self, problem: Problem, rival: Cause, scales: Sequence[float]
+    ) -> Screened | None:
+        """Return the evidence for a candidate whose signature are slopes over its parameters."""
+        if not _possible(problem, rival, self.value):
+            return None
+        parameters = parameters_of(problem, rival)
+        shown = [place for place in range(len(parameters)) if self.spread[place, place] > 0.0]
+        values = {
+            item.name: float(np.clip(rival.values[item.name] + change, item.low, item.high))
+            for item, change in zip(parameters, self.value, strict=True)
+        }
+        occam = log_occam(
+            rival.with_values(values),
+            [parameters[place] for place in shown],
+            self.spread[np.ix_(shown, shown)],
+            scales,
+        )
+        return _screened(rival, self.value, self.power, self.squares, occam)
+
+
+def untempered(rival: Cause, evidence: float) -> Screened:
+    """Return a candidate at its values with ln BF in noise as the noise model has it."""
+    return Screened(rival, evidence, np.zeros(rival.free), evidence)
+
+
+def _screened(rival: Cause, value: Array, power: Power, squares: float, occam: float) -> Screened:
+    return Screened(
+        rival,
+        power.log_likelihood_ratio(squares) + occam,
+        value,
+        0.5 * squares / power.value + occam,
+    )
 
 
 def _tried_as_a_whole(problem: Problem, rival: Cause) -> bool:

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-What nothing in the library explains: a force from a table, over speed or over position.
+Model discrepancy: forces that nothing in the library explains, over speed or position of an axis.
 
-Such a table is fitted as if it were an effect, with the force at each point as a parameter. It is never
-given a physical name: what it describes is reported as unexplained.
+A real machine lacks something that no library has (M. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63, 2001; without
+a term for it intervals are wrong however many data there are: J. Brynjarsdottir, A. O'Hagan, Inverse Problems
+30, 2014). Here it is a piecewise linear function with a few points, each with the prior of a force; one
+candidate among the others, so that it has to explain the logs better than every physical cause, with all
+its parameters paid for. It is never given a physical name: what it describes is reported as unexplained, and
+while it is in the model what correlates with it gets wider intervals.
 """
 
 from __future__ import annotations
@@ -17,9 +21,13 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.logs.machine import POSITION_ENCODER
+from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.residuals.record import Record
 
 POINTS = 7
+
+NAMES = {'velocity': 'force_over_velocity', 'position': 'force_over_position'}
+WORDS = {'velocity': 'its speed', 'position': 'its position'}
 
 STANDS_COUNTS = 50.0
 """An axis that moves less than this in all logs is taken to stand."""
@@ -48,6 +56,16 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
         fastest = max(float(np.nanmax(np.abs(rate))) for rate in rates) / encoder.counts_per_unit
         speeds[axis] = tuple(float(x) for x in fastest * np.linspace(-1.0, 1.0, POINTS))
     return [_table('velocity', speeds), _table('position', positions)]
+
+
+def is_discrepancy(cause: Cause) -> bool:
+    """Return whether a cause has no physical name."""
+    return cause.effect.name in NAMES.values()
+
+
+def goes_with(cause: Cause) -> str:
+    """Return what a discrepancy is a function of, in words."""
+    return next(WORDS[over] for over, name in NAMES.items() if name == cause.effect.name)
 
 
 def _smooth(reading: np.ndarray) -> np.ndarray:
@@ -91,6 +109,6 @@ def _table(over: str, points: Mapping[str, tuple[float, ...]]) -> Effect:
         return Overlay(places.disturbance(variant, axis, f'force_over_{over}', entry))
 
     return Effect(
-        f'force_over_{over}', Block.PLANT, f'a force over {over} without a known cause',
+        NAMES[over], Block.PLANT, f'a force over {over} without a known cause',
         axes, parameters, overlay,
     )  # fmt: skip

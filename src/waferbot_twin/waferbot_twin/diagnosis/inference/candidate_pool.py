@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
 from waferbot_twin.diagnosis.proposals.modal_candidates import screen_lines
@@ -29,7 +30,6 @@ from waferbot_twin.diagnosis.proposals.screening import (
     signatures,
 )
 from waferbot_twin.diagnosis.proposals.spectral_lines import lines
-from waferbot_twin.diagnosis.together import far
 from waferbot_twin.effects.effect import Effect
 from waferbot_twin.estimation.hypothesis import Hypothesis, signature
 from waferbot_twin.estimation.stacked_least_squares import Signature
@@ -51,14 +51,19 @@ _Asked = tuple[_Values, _Beside, _Beside]
 """A candidate, what was known when its signature was found, and what is known now."""
 
 
-class Rounds:
-    """The candidates in logs, with all that has been found out about them, for one search or several."""
+class CandidatePool:
+    """The candidates in logs, with all that has been found out about them."""
 
     def __init__(
-        self, problem: Problem, effects: Sequence[Effect], progress: Progress, workers: int = 1
+        self,
+        problem: Problem,
+        effects: Sequence[Effect],
+        settings: Settings,
+        progress: Progress,
+        workers: int = 1,
     ) -> None:
         """Take the logs of `problem`, and every one of `effects` that they could show."""
-        self.problem, self.effects = problem, effects
+        self.problem, self.effects, self.settings = problem, effects, settings
         self.progress, self.workers = progress, workers
         self._candidates = candidates(problem, effects)
         self._beside: Sequence[Cause] = ()
@@ -67,6 +72,11 @@ class Rounds:
         self._of_base: dict[_Beside, list[Signature]] = {}
         self._at_lines: dict[_Lines, list[Screened]] = {}
         self._damped: dict[_Beside, list[Screened]] = {}
+
+    @property
+    def names(self) -> list[str]:
+        """Every `effect:axis` among the candidates, once."""
+        return list(dict.fromkeys(cause.name for cause in self._candidates))
 
     def begin(self, base: Hypothesis) -> None:
         """Find what every candidate changes beside the causes of `base`, as far as that is not known."""
@@ -131,7 +141,8 @@ class Rounds:
         if unknown:
             causes = list(unknown.values())
             changes, of_base = changes_of(causes), self._signatures_of(base)
-            found = screen(self.problem, base, causes, changes, of_base, self.workers)
+            scales = self.settings.prior_scales
+            found = screen(self.problem, base, causes, changes, of_base, scales, self.workers)
             by_values = {_values(item.cause): item for item in found}
             self._screened |= {key: by_values.get(_values(unknown[key])) for key in unknown}
         known = (self._screened[key] for key in asked)
@@ -161,8 +172,7 @@ class Rounds:
         sensor of a current shows goes into the plant, too, but a line that stays where it was was not
         made by that.
         """
-        brief = not far(base)  # a motion that swings has lines, too
-        found = lines(self.problem, base, brief)
+        found = lines(self.problem, base, brief=True)
         where = tuple((line.channel, line.frequency_hz, line.brief) for line in found)
         key = self._in_plant(base), where
         if key not in self._at_lines:
@@ -212,4 +222,4 @@ def _values(cause: Cause) -> _Values:
 
 
 def _best_first(items: Iterable[Screened]) -> list[Screened]:
-    return sorted(items, key=lambda item: (-item.score, item.cause.name))
+    return sorted(items, key=lambda item: (-item.likelihood, item.cause.name))

@@ -20,7 +20,9 @@ from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 
-def likeness(problem: Problem, found: Hypothesis, cause: Cause, rival: Cause) -> float:
+def signature_correlation(
+    problem: Problem, found: Hypothesis, cause: Cause, rival: Cause
+) -> float:
     """
     Return the correlation, -1 to 1, of the signatures of a cause of `found` and of one in its place.
 

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Candidates that a linear problem puts within reach, fitted through the simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from joblib import Parallel, delayed
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
+from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
+from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
+from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.nelder_mead import downhill
+from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.residuals.problem import Cause, Problem
+
+TRIALS = 2
+"""How many trials of one effect (orders, frequencies, rungs of other shapes) are refitted."""
+
+
+def within_reach(
+    problem: Problem, screened: Sequence[Screened], settings: Settings
+) -> list[Screened]:
+    """
+    Return what may be the best: the best screened, and what the linear problem cannot tell from it.
+
+    A linear problem says less of the evidence the larger that is; so within a share of the best. With
+    each name come those of its trials that promise as much, or that have another shape.
+    """
+    if not screened:
+        return []
+    chosen: dict[str, list[Screened]] = {}
+    best = screened[0].likelihood
+    least = min(settings.linear_accuracy * best, best - 10.0)
+    for item in screened:
+        name = item.cause.name
+        if item.likelihood < least and len(chosen) > 1:
+            break
+        if name not in chosen and len(chosen) == settings.most_refits:
+            continue
+        trials = chosen.setdefault(name, [])
+        if not trials or (len(trials) < TRIALS and _differs(problem, item, trials)):
+            trials.append(item)
+    return [item for trials in chosen.values() for item in trials]
+
+
+def _differs(problem: Problem, item: Screened, trials: Sequence[Screened]) -> bool:
+    """Return whether a trial has other shape parameters than those that promised more."""
+    own = _shape(problem, item.cause)
+    return all(own != _shape(problem, other.cause) for other in trials)
+
+
+def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
+    return {
+        item.name: cause.values[item.name]
+        for item in cause.effect.parameters(problem.nominal, cause.axis)
+        if item.shape or item.fixed or item.name in cause.narrow
+    }
+
+
+def refit(
+    problem: Problem,
+    base: Hypothesis,
+    items: Sequence[Screened],
+    progress: Progress,
+    workers: int = 1,
+) -> list[Hypothesis]:
+    """
+    Return the causes of `base` with each of the candidates behind them, all fitted together.
+
+    In the order of the candidates; those with which the simulation blows up are left out.
+    """
+    pool = Parallel(n_jobs=workers, return_as='generator', batch_size=1)
+    found = []
+    for number, one in enumerate(pool(delayed(_refit)(problem, base, item) for item in items), 1):
+        progress('fitting', number, len(items))
+        if one is not None:
+            found.append(one)
+    return found
+
+
+def _refit(problem: Problem, base: Hypothesis, item: Screened) -> Hypothesis | None:
+    try:
+        start = _start(problem, base, item)
+        return downhill(problem, start, fit_causes(problem, (*base.causes, start)))
+    except UserError:
+        return None
+
+
+def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
+    """Return a screened cause where its fit begins."""
+    if item.cause.effect.threshold:
+        # One that rings as well may be right on its rung, and halving would lead away from there.
+        tried = (between_rungs(problem, base, item.cause), item.cause)
+        return max(tried, key=lambda c: evaluate(problem, (*base.causes, c)).log_likelihood)
+    names = names_of(problem, (item.cause,))
+
+    def times(size: float) -> Cause:
+        (cause,) = moved((item.cause,), names, size * item.value)
+        return cause
+
+    start = times(1.0)
+    if item.value.any() and acts_on_bits_alone(problem, start):
+        return with_fewest_differences(problem, base, start, times)
+    if may_ring(problem, start):
+        return tuned(problem, base, start)
+    return start
+
+
+def released(problem: Problem, found: Hypothesis) -> Hypothesis | None:
+    """
+    Return a fitted hypothesis with what its last cause holds (teeth, poles, a turn) free as well.
+
+    None if nothing is held, or if the simulation blows up so.
+    """
+    *others, last = found.causes
+    held = [item for item in parameters_of(problem, _free(last)) if item.name in last.held]
+    if not held:
+        return None
+    try:
+        return fit_causes(problem, (*others, _free(last)))
+    except UserError:
+        return None
+
+
+def _free(cause: Cause) -> Cause:
+    return Cause(cause.effect, cause.axis, cause.values, (), cause.narrow)

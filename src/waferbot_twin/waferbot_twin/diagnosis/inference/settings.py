@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The numbers that decide: all in one place, arguments of a diagnosis, written into its report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from waferbot_lockstep.errors import UserError
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    What decides which causes are named.
+
+    expected_causes    how many causes a machine has, before its logs are seen: a candidate has the prior
+                       probability expected_causes / number of candidates
+    prior_scales       standard deviations of an effect's size, in its typical size; each equally
+                       probable (a normal scale mixture: heavy tails, much mass near zero)
+    named_from         inclusion probability from which on a cause is named
+    credible_level     probability that a credible set holds at least
+    most_causes        how many causes are looked for at most
+    most_refits        how many candidates are refitted through the simulation in each step
+    linear_accuracy    share of the evidence of the best candidate, as screened linearly, from which on
+                       another is refitted
+    endogeneity_level  level of Hausman's test: below this probability the signature in the logs and the
+                       one that the command causes disagree, and the latter counts
+
+    Raises `UserError` for a value out of its range.
+    """
+
+    expected_causes: float = 0.3
+    prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
+    named_from: float = 0.5
+    credible_level: float = 0.95
+    most_causes: int = 12
+    most_refits: int = 8
+    linear_accuracy: float = 0.7
+    endogeneity_level: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        shares = 'named_from', 'credible_level', 'linear_accuracy', 'endogeneity_level'
+        for name in shares:
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise UserError(f'{name} is {getattr(self, name)}; it must be between 0 and 1')
+        if self.expected_causes <= 0.0 or not all(scale > 0.0 for scale in self.prior_scales):
+            raise UserError('expected_causes and prior_scales must be greater than 0')
+        if self.most_causes < 1 or self.most_refits < 1:
+            raise UserError('most_causes and most_refits must be at least 1')

@@ -1,0 +1,344 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which causes, and how sure: a sum of single effects.
+
+The machine differs from its model by a sum of L effects,
+
+    theta = theta_0 + w_1 + ... + w_L,    each w_l of one candidate gamma_l only,                     (1)
+
+gamma_l drawn from the candidates, w_l from the prior of that candidate's size (G. Wang, A. Sarkar,
+P. Carbonetto, M. Stephens, J. R. Stat. Soc. B 82, 2020: iterative Bayesian stepwise selection). With the
+other effects in the model, the posterior of one of them is
+
+    p(gamma_l = j) = pi_j BF_j / (1 + sum over k of pi_k BF_k),                                       (2)
+
+and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`), from fits through the
+simulation for every candidate that the linear problem puts within reach. Effects are added as long as one is
+more probable than none; then each is asked for anew beside all others, as often as one changes: an early
+choice is revised when the others are known. A candidate is a name (`effect:axis`); its trials share its prior.
+
+What no physical cause explains competes with them: forces over speed and position of an axis without a name
+(`discrepancy`).
+
+In a closed loop noise moves the axis, the controller answers, and what noise made of the current looks like
+a wrong amplifier. What the *command* makes of a cause in the noise-free log of the model knows nothing of the
+noise: an instrument z of its change d (L. Ljung, System Identification, 2nd ed., section 13.4). If the two
+agree on the size, Hausman's test of endogeneity (Econometrica 46, 1978), the logs count as they are, else
+the instrument alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import t as student
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.refit import refit, released, within_reach
+from waferbot_twin.diagnosis.proposals.screening import Screened
+from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.residual_spectrum import power_along
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+
+PASSES = 3
+"""How often at most every effect is asked for anew."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A candidate for one effect: fitted beside the others, ln BF, and its posterior probability."""
+
+    found: Hypothesis
+    log_evidence: float
+    probability: float = 0.0
+
+    @property
+    def cause(self) -> Cause:
+        """The candidate itself."""
+        return self.found.causes[-1]
+
+
+@dataclass(frozen=True)
+class SingleEffect:
+    """One effect of the sum: its candidates, the most probable first, and the probability of none."""
+
+    members: tuple[Member, ...]
+    none: float
+
+    @property
+    def best(self) -> Member:
+        """The most probable candidate."""
+        return self.members[0]
+
+    @property
+    def inclusion(self) -> float:
+        """The probability that there is such an effect at all."""
+        return 1.0 - self.none
+
+    def credible_set(self, level: float) -> tuple[Member, ...]:
+        """Return the fewest candidates that hold the effect with this probability, if there is one."""
+        total, chosen = 0.0, []
+        for member in self.members:
+            chosen.append(member)
+            total += member.probability
+            if total >= level * self.inclusion:
+                break
+        return tuple(chosen)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """All effects with the hypothesis that holds the best of each, in the same order, and `nothing`."""
+
+    nothing: Hypothesis
+    found: Hypothesis
+    effects: tuple[SingleEffect, ...]
+    tried: int
+
+    def share(self, problem: Problem, place: int) -> float:
+        """
+        Return the share of what the nominal model leaves over that goes with one of the causes alone.
+
+        Of the mean square on the cause's axis, in the block where that share is largest; 0 to 1.
+        """
+        cause = self.found.causes[place]
+        others = (*self.found.causes[:place], *self.found.causes[place + 1 :])
+        try:
+            fewer = evaluate(problem, others)
+        except UserError:  # the machine does not stand without it
+            return 1.0
+        shares = [0.0]
+        for block in problem.touched(cause.effect, cause.axis):
+            squares = [
+                sum(
+                    float(one @ one)
+                    for channel, one in zip(
+                        problem.channels(block), item.residuals[block], strict=True
+                    )
+                    if channel.axis == cause.axis
+                )
+                for item in (self.nothing, fewer, self.found)
+            ]
+            if squares[0] > 0.0:
+                shares.append((squares[1] - squares[2]) / max(squares[:2]))
+        return min(max(shares), 1.0)
+
+    def without(self, problem: Problem, names: Sequence[str]) -> Posterior:
+        """Return the posterior without some causes, the others fitted anew."""
+        if not names:
+            return self
+        kept = [place for place, cause in enumerate(self.found.causes) if cause.name not in names]
+        causes = tuple(self.found.causes[place] for place in kept)
+        found = _fitted(problem, causes) or evaluate(problem, causes)
+        return replace(self, found=found, effects=tuple(self.effects[place] for place in kept))
+
+
+def infer(pool: CandidatePool) -> Posterior:
+    """
+    Return the posterior over causes of the logs of a pool.
+
+    Raises `UserError` if the nominal model does not run in their motions.
+    """
+    problem, settings = pool.problem, pool.settings
+    nothing = found = evaluate(problem)
+    pool.begin(nothing)
+    effects: list[SingleEffect] = []
+    while len(effects) < settings.most_causes:
+        effect = _ask(pool, found)
+        if effect is None or effect.inclusion < settings.named_from:
+            break
+        found = effect.best.found
+        effects.append(effect)
+    found, effects = _ask_again(pool, found, effects)
+    return Posterior(nothing, found, tuple(effects), len(pool.names))
+
+
+def _ask_again(
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect]
+) -> tuple[Hypothesis, list[SingleEffect]]:
+    """Ask for every effect anew beside all others until none changes."""
+    for _ in range(PASSES if len(effects) > 1 else 0):
+        changed = False
+        for effect in list(effects):
+            name = effect.best.cause.name
+            present = next(cause for cause in found.causes if cause.name == name)
+            others = tuple(cause for cause in found.causes if cause.name != name)
+            base = _fitted(pool.problem, others)
+            again = _ask(pool, base, present) if base is not None else None
+            if again is None:
+                continue
+            place = effects.index(effect)
+            rest = [one for one in effects if one is not effect]
+            if again.inclusion < pool.settings.named_from:
+                assert base is not None
+                found, effects, changed = base, rest, True
+                continue
+            changed |= again.best.cause.name != name
+            found = again.best.found
+            effects = [*rest[:place], again, *rest[place:]]
+        if not changed:
+            break
+    by_name = {cause.name: place for place, cause in enumerate(found.causes)}
+    effects.sort(key=lambda effect: by_name[effect.best.cause.name])
+    return found, effects
+
+
+def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
+    """Return causes fitted; None if the machine does not stand with them alone."""
+    try:
+        return fit_causes(problem, causes)
+    except UserError:
+        return None
+
+
+def _ask(
+    pool: CandidatePool, base: Hypothesis, present: Cause | None = None
+) -> SingleEffect | None:
+    """
+    Return the posterior of one more effect beside those of `base`.
+
+    `present` is what is there now and begins where it is. None if nothing could be fitted.
+    """
+    problem, settings = pool.problem, pool.settings
+    prior = math.log(settings.expected_causes / len(pool.names))
+    screened = pool.screen(base)
+    screened = [item for item in screened if item.score + prior > 0.0]
+    if present is None and not screened:
+        screened = [item for item in pool.damped_rings(base) if item.score + prior > 0.0]
+    if present is not None:
+        screened = [item for item in screened if item.cause.name != present.name]
+        best = screened[0].likelihood if screened else 0.0
+        screened.insert(0, Screened(present, best, np.zeros(present.free), best))
+    chosen = within_reach(problem, screened, settings)
+    fitted = refit(problem, base, chosen, pool.progress, pool.workers)
+    fitted += [free for one in fitted if (free := released(problem, one)) is not None]
+    members = [
+        Member(one, log_evidence(problem, one, base, settings.prior_scales)) for one in fitted
+    ]
+    return _posterior(
+        problem, base, members, prior, settings.prior_scales, settings.endogeneity_level
+    )
+
+
+def _posterior(
+    problem: Problem,
+    base: Hypothesis,
+    members: Sequence[Member],
+    prior: float,
+    scales: Sequence[float],
+    level: float,
+) -> SingleEffect | None:
+    """Return equation (2) for fitted candidates with the same prior, ln pi_j = `prior`."""
+    fitted = sorted(members, key=lambda item: -item.found.log_likelihood)
+    if not fitted:
+        return None
+    # Two candidates are compared along what they do differently, not along what both explain.
+    likeliest = fitted[0]
+    relative = {
+        id(one): _occam(problem, one, base, scales) - gain(likeliest.found, one.found)
+        for one in fitted
+    }
+    ranked: list[Member] = []
+    for one in sorted(fitted, key=lambda item: -relative[id(item)]):
+        if all(one.cause.name != other.cause.name for other in ranked):
+            ranked.append(one)
+    best = ranked[0]
+    while ranked:
+        best = ranked[0]
+        gained = None
+        if best.log_evidence + prior > 0.0:
+            gained = instrumented_gain(problem, base, best.found, level)
+        if gained is None:
+            break
+        own = log_evidence(problem, best.found, base, scales, gained)
+        best = replace(best, log_evidence=min(own, best.log_evidence))
+        if best.log_evidence + prior > 0.0 or len(ranked) == 1:
+            break
+        ranked.pop(0)  # noise made it: what else is there is asked
+    others = [one for one in ranked if one.cause.name != best.cause.name]
+    ranked = [best, *others]
+    behind = np.array(
+        [0.0, *(relative[id(one)] - _relative_of(relative, fitted, best) for one in others)]
+    )
+    logs = prior + best.log_evidence + np.minimum(behind, 0.0)
+    weights = np.exp(logs - max(float(logs.max()), 0.0))
+    none = math.exp(-max(float(logs.max()), 0.0))
+    total = float(weights.sum()) + none
+    found = [
+        replace(member, probability=float(weight / total))
+        for member, weight in zip(ranked, weights, strict=True)
+    ]
+    found.sort(key=lambda item: -item.probability)
+    return SingleEffect(tuple(found), none / total)
+
+
+def _relative_of(relative: dict[int, float], fitted: Sequence[Member], best: Member) -> float:
+    return max(relative[id(one)] for one in fitted if one.found is best.found)
+
+
+def _occam(problem: Problem, member: Member, base: Hypothesis, scales: Sequence[float]) -> float:
+    return log_evidence(problem, member.found, base, scales, 0.0)
+
+
+def instrumented_gain(
+    problem: Problem, base: Hypothesis, more: Hypothesis, level: float
+) -> float | None:
+    """
+    Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
+
+    With z its change in the noise-free log and d that in the logs, both white, b what `base` leaves over
+    and S the spectrum of what `more` does, the instrument's estimate of the cause's size, 1 if the two
+    agree, is z' b / z' d with the variance z' S z / (z' d)^2. None if they agree at the `level` of Hausman's
+    test, or if the logs do not tell what was commanded; else (z' b)^2 / (2 z' S z).
+    """
+    try:
+        ideal = problem.ideal(more.causes)
+        if ideal is None:
+            return None
+        with_it, without = (apply_all(problem.nominal, item.causes) for item in (more, base))
+        signals = estimated = 0.0
+        left, along, colours = [], [], []
+        for block, fit in more.fits.items():
+            if not any(colour.error.order for colour in fit.colours):
+                continue
+            pairs = zip(
+                ideal.residuals(without, block), ideal.residuals(with_it, block), strict=True
+            )
+            changes = in_deviations(fit.colours, [one - two for one, two in pairs])
+            before = in_deviations(fit.colours, base.residuals[block])
+            measured = [one - two for one, two in zip(before, fit.whitened, strict=True)]
+            signals += sum(float(z @ b) for z, b in zip(changes, before, strict=True))
+            estimated += sum(float(z @ d) for z, d in zip(changes, measured, strict=True))
+            left += fit.whitened
+            along += changes
+            colours += fit.colours
+    except UserError:
+        return None
+    square = sum(float(z @ z) for z in along)
+    if square == 0.0 or estimated == 0.0:
+        return None
+    power = power_along(left, along, colours)
+    differs = abs(signals - estimated) / math.sqrt(power.value * square)
+    if 2.0 * float(student.sf(differs, power.freedom)) >= level:
+        return None
+    caused = power.log_likelihood_ratio(signals**2 / square) if signals > 0.0 else 0.0
+    return _exact_gain(more, base) + caused
+
+
+def _exact_gain(more: Hypothesis, base: Hypothesis) -> float:
+    """Return the gain in blocks that follow to the last bit: no noise goes through them."""
+    return sum(
+        0.5 * float(one @ one) - 0.5 * float(two @ two)
+        for block, fit in more.fits.items()
+        if not any(colour.error.order for colour in fit.colours)
+        for one, two in zip(
+            in_deviations(fit.colours, base.residuals[block]), fit.whitened, strict=True
+        )
+    )

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What stays unexplained: where, how much, and what it goes with.
+
+Three kinds of evidence, one for each kind of block:
+
+- a force over speed or position of an axis that no physical cause explains as well (`discrepancy`), as one
+  of the effects of the posterior;
+- in a block that follows from its inputs to the last bit, anything at all that is left over;
+- in every other channel, a residual that depends on what the command makes the machine do. The columns
+  q of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to the white
+  residual e by least squares, with the Bayes factor of Schwarz' approximation,
+
+      ln BF = G - k / 2 ln N,                                                                       (1)
+
+  G as in `estimation.evidence`, k columns, N samples, and the prior odds of any other candidate. Noise knows
+  nothing of the command: what goes with it is something that the model lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.discrepancy import goes_with, is_discrepancy
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Posterior
+from waferbot_twin.effects.places import motor_axes
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.residual_spectrum import power_along
+from waferbot_twin.residuals.noise_free_motion import Motion, motions
+from waferbot_twin.residuals.problem import PLANT, Channel, Problem
+from waferbot_twin.residuals.record import Array
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """
+    Something that no cause explains.
+
+    `share` is that of the mean square of what the nominal model leaves over in the block, on the axis;
+    `with_what` says what it goes with, in words.
+    """
+
+    axis: str
+    block: str
+    share: float
+    with_what: str
+
+
+def unexplained(problem: Problem, posterior: Posterior, settings: Settings) -> list[Unexplained]:
+    """Return what stays unexplained, one line for each axis and block, the largest share first."""
+    found = [
+        Unexplained(cause.axis, PLANT, posterior.share(problem, place), goes_with(cause))
+        for place, cause in enumerate(posterior.found.causes)
+        if is_discrepancy(cause)
+    ]
+    for block in problem.exact_blocks:
+        for axis in sorted(problem.plain_axes(block, posterior.found.residuals[block])):
+            share = _left(problem, posterior, block, axis)
+            found.append(Unexplained(axis, block, share, 'its input'))
+    found += _with_command(problem, posterior, settings)
+    largest: dict[tuple[str, str], Unexplained] = {}
+    for item in sorted(found, key=lambda one: -one.share):
+        largest.setdefault((item.axis, item.block), item)
+    return list(largest.values())
+
+
+def _left(problem: Problem, posterior: Posterior, block: str, axis: str) -> float:
+    """Return the share of the mean square on an axis that is left over."""
+
+    def square(hypothesis: Hypothesis) -> float:
+        channels = zip(problem.channels(block), hypothesis.residuals[block], strict=True)
+        return sum(float(one @ one) for channel, one in channels if channel.axis == axis)
+
+    before = square(posterior.nothing)
+    return min(square(posterior.found) / before, 1.0) if before > 0.0 else 0.0
+
+
+def _with_command(problem: Problem, posterior: Posterior, settings: Settings) -> list[Unexplained]:
+    found = posterior.found
+    try:
+        ideal = problem.ideal(found.causes) or problem
+        moving = motions(problem, ideal, motor_axes(problem.nominal))
+    except UserError:
+        return []
+    asked: dict[tuple[str, str], list[tuple[Channel, int]]] = {}
+    for block, fit in found.fits.items():
+        for place, channel in enumerate(problem.channels(block)):
+            if fit.colours[place].error.order:
+                asked.setdefault((block, channel.name), []).append((channel, place))
+    prior = math.log(settings.expected_causes / max(len(asked), 1))
+    result = []
+    for (block, _), channels in asked.items():
+        evidence, share = _dependence(found, block, channels, moving)
+        if evidence + prior > 0.0:
+            result.append(Unexplained(channels[0][0].axis, block, share, 'the commanded motion'))
+    return result
+
+
+def _dependence(
+    found: Hypothesis,
+    block: str,
+    channels: Sequence[tuple[Channel, int]],
+    moving: dict[tuple[int, str], Motion],
+) -> tuple[float, float]:
+    """Return equation (1) of a channel in all logs, and the share of its mean square that depends."""
+    fit = found.fits[block]
+    columns: list[Array] = [np.zeros((0, 0))] * len(fit.colours)
+    for channel, place in channels:
+        motion = moving[id(channel.log.record), channel.axis]
+        columns[place] = _columns(motion, channel.log.times_s(channel.name))
+    width = max(matrix.shape[1] for matrix in columns)
+    columns = [
+        matrix if len(matrix) else np.zeros((len(residual), width))
+        for matrix, residual in zip(columns, found.residuals[block], strict=True)
+    ]
+    places = [place for _, place in channels]
+    white = in_deviations(fit.colours, columns)
+    rows = np.vstack([white[place] for place in places])
+    left = [fit.whitened[place] for place in places]
+    whole = np.concatenate(left)
+    scale = np.linalg.norm(rows, axis=0)
+    scale[scale == 0.0] = 1.0
+    solution, *_ = np.linalg.lstsq(rows / scale, whole, rcond=1e-8)
+    explained = rows / scale @ solution
+    cuts = np.cumsum([len(one) for one in left])[:-1]
+    rest = np.split(whole - explained, cuts)
+    squares = float(whole @ whole) - sum(float(one @ one) for one in rest)
+    power = power_along(rest, np.split(explained, cuts), [fit.colours[place] for place in places])
+    rank = np.linalg.matrix_rank(rows / scale, 1e-8)
+    gained = power.log_likelihood_ratio(squares)
+    return gained - 0.5 * float(rank) * math.log(len(whole)), squares / float(whole @ whole)
+
+
+def _columns(motion: Motion, times_s: Array) -> Array:
+    """Return what the command makes an axis do at some times, (n, k), each about its mean."""
+    signals = [
+        motion.position,
+        motion.speed,
+        motion.acceleration,
+        motion.direction,
+        motion.speed * np.abs(motion.speed),
+        *motion.currents,
+        motion.amplitude,
+    ]
+    columns = np.column_stack([np.interp(times_s, motion.clock_s, one) for one in signals])
+    columns = columns - columns.mean(axis=0)
+    scale = columns.std(axis=0)
+    return columns / np.where(scale > 0.0, scale, 1.0)
