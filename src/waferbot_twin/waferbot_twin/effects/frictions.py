@@ -7,23 +7,28 @@ So effects of several kinds add up, and none touches a friction that the model h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 
 ON_AXIS = (
     'cold_ferrofluid',
     'coulomb_friction',
+    'direction_dependent_damping',
     'direction_dependent_friction',
     'position_dependent_friction',
     'presliding',
+    'rolling_drag',
     'stribeck_friction',
+    'velocity_strengthening_friction',
 )
 """Effects with a slot on the coordinate of the axis."""
 
-ON_MOTOR = ('gearbox_friction', 'load_dependent_friction')
+ON_MOTOR = ('gear_efficiency', 'gearbox_friction', 'load_dependent_friction')
 """Effects with a slot on the coordinate of the motor."""
 
 ON_COUNTERWEIGHT = ('counterweight_friction',)
@@ -61,6 +66,53 @@ def slot(
         **(law or {}),
     }
     return {'frictions': {f'{axis}_{effect}': entry}}
+
+
+def drag(
+    variant: Variant,
+    axis: str,
+    effect: str,
+    coefficient: float,
+    exponent: float,
+    law: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """
+    Return the part of a description that fills a slot with friction b |v|^p.
+
+    `coefficient` is b: N or Nm at 1 m/s or rad/s.
+    """
+    if coefficient == 0.0:
+        return slot(variant, axis, effect, [0.0], [0.0])
+    _, turns = _place(variant, axis, effect)
+    force, speed = ('torque_nm', 'at_speed_rad_s') if turns else ('force_n', 'at_speed_m_s')
+    grows = {'drag': {force: coefficient, speed: 1.0, 'exponent': exponent}}
+    return slot(variant, axis, effect, [0.0], [0.0], {**(law or {}), **grows})
+
+
+STRIBECK_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0)
+"""Points of a table of Stribeck's curve, in Stribeck's speed: straight lines are off by 2 % at most."""
+
+
+def stribeck_curve() -> tuple[float, ...]:
+    """Return exp(-(v / v_s)^2) at `STRIBECK_SHARES` of v_s: from one to nothing, which it is beyond."""
+    return (*(math.exp(-(share**2)) for share in STRIBECK_SHARES[:-1]), 0.0)
+
+
+def stribeck_speeds(variant: Variant, axis: str) -> tuple[float, ...]:
+    """Return speeds to try for Stribeck's, m/s or rad/s, the typical one in the middle."""
+    speed = 0.02 * places.rated_speed(variant, axis)
+    return 0.25 * speed, speed, 5.0 * speed
+
+
+def stribeck_speed(variant: Variant, axis: str, meaning: str) -> Parameter:
+    """
+    Return Stribeck's speed as a parameter.
+
+    Far above what an axis reaches, it would make the effect another one by another name.
+    """
+    _, speed, _ = stribeck_speeds(variant, axis)
+    unit = f'{places.length_unit(variant, axis)}/s'
+    return Parameter('speed', unit, speed, speed, 0.02 * speed, 8.0 * speed, meaning, shape=True)
 
 
 def _place(variant: Variant, axis: str, effect: str) -> tuple[str, bool]:

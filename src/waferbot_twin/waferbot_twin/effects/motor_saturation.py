@@ -42,4 +42,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = k I / sqrt(1 + curvature I^2)',
+    title='magnetic saturation of the motor',
 )

@@ -256,6 +256,11 @@ def motor_force_unit(variant: Variant, axis: str) -> str:
     return 'Nm' if motor_rotary(variant, axis) else 'N'
 
 
+def damping_unit(variant: Variant, axis: str) -> str:
+    """Return the unit of a force on the axis per speed of it."""
+    return 'Nm s/rad' if rotary(variant, axis) else 'N s/m'
+
+
 def length_unit(variant: Variant, axis: str) -> str:
     """Return the unit of the axis' position."""
     return 'rad' if rotary(variant, axis) else 'm'
