@@ -408,6 +408,18 @@ def test_a_delay_is_a_time_and_long_only_where_nobody_knows_what_lies_between():
         assert machine.pmac['x_rotate']['command_delay'] == interrupts
 
 
+def test_of_a_logged_force_nobody_asks_what_the_motor_makes_of_its_current():
+    forced = replace(nominal(), force_driven=frozenset({'x_rotate'}))
+    later = find('coulomb_friction').apply(forced, 'x_rotate', {})
+    for name in ('motor_saturation', 'torque_ripple', 'winding_imbalance'):
+        assert 'x_rotate' in find(name).axes(nominal())
+        for variant in (forced, later):
+            assert 'x_rotate' not in find(name).axes(variant)
+            assert 'y_rotate' in find(name).axes(variant)
+    for name in ('force_constant', 'cogging'):  # of the force itself
+        assert 'x_rotate' in find(name).axes(forced)
+
+
 def test_page_is_up_to_date() -> None:
     """If this fails: python -m waferbot_twin.effects.effects_page docs/effects.md."""
     page = (Path(__file__).parents[3] / 'docs' / 'effects.md').read_text('utf-8')

@@ -33,6 +33,11 @@ def motor_axes(variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in variant.base.description.motors)
 
 
+def current_driven_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a motor whose current, not only whose force, is known."""
+    return tuple(axis for axis in motor_axes(variant) if axis not in variant.base.force_driven)
+
+
 def controlled_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose controller is known."""
     return tuple(axis for axis in motor_axes(variant) if variant.pmac.get(axis))
