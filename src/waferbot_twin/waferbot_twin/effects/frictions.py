@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from waferbot_twin.effects import places
-from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 
 ON_AXIS = (
@@ -96,23 +95,6 @@ STRIBECK_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0)
 def stribeck_curve() -> tuple[float, ...]:
     """Return exp(-(v / v_s)^2) at `STRIBECK_SHARES` of v_s: from one to nothing, which it is beyond."""
     return (*(math.exp(-(share**2)) for share in STRIBECK_SHARES[:-1]), 0.0)
-
-
-def stribeck_speeds(variant: Variant, axis: str) -> tuple[float, ...]:
-    """Return speeds to try for Stribeck's, m/s or rad/s, the typical one in the middle."""
-    speed = 0.02 * places.rated_speed(variant, axis)
-    return 0.25 * speed, speed, 5.0 * speed
-
-
-def stribeck_speed(variant: Variant, axis: str, meaning: str) -> Parameter:
-    """
-    Return Stribeck's speed as a parameter.
-
-    Far above what an axis reaches, it would make the effect another one by another name.
-    """
-    _, speed, _ = stribeck_speeds(variant, axis)
-    unit = f'{places.length_unit(variant, axis)}/s'
-    return Parameter('speed', unit, speed, speed, 0.02 * speed, 8.0 * speed, meaning, shape=True)
 
 
 def _place(variant: Variant, axis: str, effect: str) -> tuple[str, bool]:

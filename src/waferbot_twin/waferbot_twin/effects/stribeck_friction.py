@@ -24,11 +24,18 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     rated = places.rated_force(variant, axis)
+    speed = 0.02 * places.rated_speed(variant, axis)
     unit = places.force_unit(variant, axis)
+    # Far above what an axis reaches, Stribeck's speed makes this Coulomb friction by another name.
+    fastest = 8.0 * speed
+    speed_unit = f'{places.length_unit(variant, axis)}/s'
     return (
         Parameter('breakaway', unit, 0.0, 0.1 * rated, 0.0, 10.0 * rated, 'more at rest'),
-        frictions.stribeck_speed(variant, axis, "Stribeck's speed: a third is left there"),
-    )
+        Parameter(
+            'speed', speed_unit, speed, speed, 0.02 * speed, fastest,
+            "Stribeck's speed: a third is left there", shape=True,
+        ),
+    )  # fmt: skip
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
@@ -38,7 +45,8 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
-    return tuple({'speed': speed} for speed in frictions.stribeck_speeds(variant, axis))
+    speed = 0.02 * places.rated_speed(variant, axis)
+    return tuple({'speed': share * speed} for share in (0.25, 1.0, 5.0))
 
 
 EFFECT = Effect(

@@ -24,13 +24,20 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     rated = places.rated_force(variant, axis)
+    speed = 0.2 * places.rated_speed(variant, axis)
     unit = places.force_unit(variant, axis)
+    # Far below what an axis mostly moves at, this speed makes it Coulomb friction by another name.
+    slowest = 0.2 * speed
+    speed_unit = f'{places.length_unit(variant, axis)}/s'
     return (
         Parameter(
             'rise', unit, 0.0, 0.1 * rated, 0.0, 10.0 * rated, 'more in motion than at rest'
         ),
-        frictions.stribeck_speed(variant, axis, 'at which two thirds of the rise are there'),
-    )
+        Parameter(
+            'speed', speed_unit, speed, speed, slowest, 10.0 * speed,
+            'at which two thirds of the rise are there', shape=True,
+        ),
+    )  # fmt: skip
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
@@ -41,7 +48,8 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
-    return tuple({'speed': speed} for speed in frictions.stribeck_speeds(variant, axis))
+    speed = 0.2 * places.rated_speed(variant, axis)
+    return tuple({'speed': share * speed} for share in (0.3, 1.0, 4.0))
 
 
 EFFECT = Effect(
