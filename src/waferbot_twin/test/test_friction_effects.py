@@ -119,7 +119,7 @@ def test_friction_over_speed_is_the_curve_that_it_says(name: str) -> None:
 
 def test_friction_that_rises_with_speed_lets_go_gently_and_brakes_more_the_faster() -> None:
     """With Coulomb friction: 8 N hold, 20 N brake at speed; scipy's solution of the smooth curve."""
-    values, speed = {'rise': 12.0, 'speed': 0.02}, 0.02
+    values, speed = {'rise': 12.0, 'speed': 0.042}, 0.042
     both = {'coulomb_friction': {'friction': 8.0}, 'velocity_strengthening_friction': values}
     held = motion(both, 0.0, lambda time: 7.99, 200)
     assert not held.any()
@@ -130,7 +130,7 @@ def test_friction_that_rises_with_speed_lets_go_gently_and_brakes_more_the_faste
 
     time = np.arange(1, 3601) * TICK
     expected = solve_ivp(falls, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-13).y
-    assert expected[1, -1] > 4.0 * speed
+    assert expected[1, -1] > 2.0 * speed
     assert np.abs(found[:, 1] - expected[1]).max() < 0.01 * expected[1, -1]
     # Friction as at speed, or as at rest, would be off by many times that.
     assert abs(5.0 / MASS * time[-1] - expected[1, -1]) > 0.05 * expected[1, -1]
@@ -143,7 +143,7 @@ def test_friction_that_rises_with_speed_leaves_presliding_as_it_is() -> None:
     def sways(time: float) -> float:
         return 3.0 * math.sin(2.0 * math.pi * 10.0 * time)
 
-    rising = {'velocity_strengthening_friction': {'rise': 5.0, 'speed': 0.03}}
+    rising = {'velocity_strengthening_friction': {'rise': 5.0, 'speed': 0.042}}
     alone = motion(presliding, 0.0, sways, 3600)
     beside = motion({**presliding, **rising}, 0.0, sways, 3600)
     most = np.abs(alone[:, 0]).max()
