@@ -312,7 +312,9 @@ def test_errors_are_relative_to_what_is_meant(rigid):
     inertia = only('wrong_inertia', 'inertia', 0.25, 0.2, math.nan, math.nan, inertia=0.75)
     assert (inertia.kind, inertia.covered) == ('inertia', None)
     assert inertia.error == pytest.approx(0.05)
-    assert only('encoder_delay', 'delay', 3.0, 3.2, 2.0, 4.0).error == pytest.approx(0.2)
+    cycle = 1.0 / 9.0  # ms
+    late = only('encoder_delay', 'delay', 3.0 * cycle, 3.2 * cycle, 2.0 * cycle, 4.0 * cycle)
+    assert late.error == pytest.approx(0.2)
 
 
 def test_a_parameter_that_is_neutral_in_truth_has_no_relative_error():

@@ -62,6 +62,7 @@ SENSORS = ('current_sensors', 'y_linear')
         ((*ENCODER, 'extra_delay_cycles'), 1.5, ['integer']),
         ((*ENCODER, 'extra_delay_cycles'), 15, ['16 cycles late', 'longest delay is 15']),
         ((*ENCODER, 'delay_fraction'), 1.5, ['at most 1']),
+        ((*ENCODER, 'delay_s'), 0.03, ['at most 0.02']),
         ((*ENCODER, 'noise_counts'), -1, ['at least 0']),
         ((*ENCODER, 'noise_seed'), 1.5, ['integer']),
         ((*ENCODER, 'lost_counts'), {'counts': 3}, ['every_m missing']),

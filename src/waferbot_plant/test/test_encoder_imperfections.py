@@ -9,9 +9,10 @@ import numpy as np
 import plant_machines as machines
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import plant
-from waferbot_plant.plant import load_machine
+from waferbot_plant.plant import Machine, load_machine
 
 COUNTS = 1.0e6
 TURN = 2.0 * math.pi
@@ -149,6 +150,32 @@ def test_extra_delay_is_whole_phase_cycles(common: int, extra: int) -> None:
     assert told.tolist() == [math.floor(COUNTS * x) for x in shifted]
 
 
+@pytest.mark.parametrize('divider', [1, 2])
+@pytest.mark.parametrize('delay_ms', [0.2, 1.0, 7.4, 20.0])
+def test_a_delay_is_that_time_at_constant_speed(delay_ms: float, divider: int) -> None:
+    """Beside whole cycles and a fraction of one, which stay as they are; to 20 ms."""
+    speed = 37.3e-6  # m per tick
+    positions = 0.1 + speed * np.arange(600)
+    cycles = {'extra_delay_cycles': 2, 'delay_fraction': 0.75}
+    told = readings(positions, divider=divider, delay_s=1e-3 * delay_ms, **cycles)
+    late = 1e-3 * delay_ms * 18000 + 2.75 * divider  # ticks
+    first = (math.ceil(late / divider) + 1) * divider
+    exact = COUNTS * (positions - late * speed)
+    assert agrees(told[first::divider], exact[first::divider])
+    assert told[: int(late)].max() <= 100000
+
+
+def test_a_delay_that_the_history_does_not_hold_is_an_error() -> None:
+    twice = Timing(36000, 1, 4)
+    machine, _ = slide(divider=2, delay_s=0.015)
+    assert machine.parameters()['encoder_delay'][0, 0] == 135
+    fast = Machine(machine.description, machine.assembly, twice)
+    with pytest.raises(
+        UserError, match=r'encoders.y_linear: delay_s: is 0.015; with 36000 readings'
+    ):
+        fast.parameters()
+
+
 @pytest.mark.parametrize('fraction', [0.25, 1.0])
 @pytest.mark.parametrize('divider', [1, 2])
 def test_fraction_of_a_cycle_is_exact_at_constant_speed(fraction: float, divider: int) -> None:
@@ -217,6 +244,7 @@ def test_neutral_values_are_no_effect_at_all() -> None:
         'coarseness_counts': 1,
         'extra_delay_cycles': 0,
         'delay_fraction': 0.0,
+        'delay_s': 0.0,
         'noise_counts': 0.0,
         'lost_counts': {'counts': 0.0, 'every_m': 0.1},
     }

@@ -145,6 +145,132 @@ def test_a_force_from_outside_stands_for_that_of_an_open_motor() -> None:
         assert state[0]['velocity'][0] == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize('exponent', [2.0 / 3.0, 1.0, 1.5])
+@pytest.mark.parametrize('direction', [1.0, -1.0])
+def test_drag_grows_with_a_power_of_the_speed(exponent: float, direction: float) -> None:
+    """m v' = -b |v|^p (1 +- a) in closed form, b from the force at a speed that is not 1."""
+    drag = {'force_n': 9.0, 'at_speed_m_s': 0.5, 'exponent': exponent}
+    friction = {'speed_m_s': [0], 'force_n': [0.0], 'asymmetry': 0.3, 'drag': drag}
+    machine, parameters, state = slide(friction)
+    state[0]['velocity'][0] = direction * 2.0
+    before = audit.books(machine, state, parameters)
+    run(state, parameters, 1800, np.zeros(3), np.zeros((1800, 1)))
+    rate = 9.0 / 0.5**exponent * (1.0 + 0.3 * direction) / MASS
+    t, left = 1800 * TICK, 1.0 - exponent
+    expected = (
+        2.0 * math.exp(-rate * t)
+        if exponent == 1.0
+        else (2.0**left - left * rate * t) ** (1.0 / left)
+    )
+    assert state[0]['velocity'][0] == pytest.approx(direction * expected, rel=1e-6)
+    lost = 0.5 * MASS * (4.0 - state[0]['velocity'][0] ** 2)
+    assert state[0]['friction_loss'][0] == pytest.approx(lost, rel=1e-9)
+    assert abs(audit.imbalance(before, audit.books(machine, state, parameters))) < 1e-9
+
+
+def test_drag_that_falls_off_slowly_brings_a_mass_to_rest_in_finite_time() -> None:
+    """v^(1/3) = v_0^(1/3) - b t / (3 m): at rest at 3 m v_0^(1/3) / b, and no ringing about it."""
+    drag = {'force_n': 6.0, 'at_speed_m_s': 1.0, 'exponent': 2.0 / 3.0}
+    _, parameters, state = slide({'speed_m_s': [0], 'force_n': [0.0], 'drag': drag})
+    state[0]['velocity'][0] = 0.001
+    speeds = []
+    for _ in range(round(0.12 / TICK)):
+        plant.advance(state, parameters, NO_VOLTAGE)
+        speeds.append(state[0]['velocity'][0])
+    assert (np.diff(speeds) <= 0.0).all()
+    at_rest = (np.flatnonzero(np.array(speeds) == 0.0)[0] + 1) * TICK
+    assert at_rest == pytest.approx(3.0 * MASS * 0.001 ** (1.0 / 3.0) / 6.0, rel=1e-2)
+
+
+GEAR = {'speed_m_s': [0], 'force_n': [0.0], 'per_motor_force': 0.1, 'per_motor_force_back': 0.25}
+"""Efficiency 0.9 where the motor drives, and 1 / (1 + 0.25) = 0.8 where the load does."""
+
+
+@pytest.mark.parametrize('turned', [1.0, -1.0])
+@pytest.mark.parametrize('asymmetry', [0.0, 0.2])
+def test_efficiency_of_a_gear_is_another_where_the_load_drives(
+    turned: float, asymmetry: float
+) -> None:
+    """
+    A weight of 40 N: lifted with 40 / 0.9 N, let down with 0.8 x 40 N, at constant speed; held between.
+
+    A force on an open motor is that of the motor; the weight is a constant force.
+    """
+    weight = 40.0
+    for direction, efficiency in ((1.0, 1.0 / 0.9), (-1.0, 0.8)):
+        limit = abs(efficiency - 1.0) * weight * (1.0 + turned * direction * asymmetry)
+        machine, parameters, state = slide(
+            {**GEAR, 'asymmetry': asymmetry},
+            motors={
+                'y_linear': {
+                    'coordinate': 'travel', 'winding': 'wye', 'electrical_cycle_m': 1e6,
+                    'resistance_lead_to_lead_ohm': 1e9, 'inductance_lead_to_lead_h': 1e3,
+                    'back_emf_lead_to_lead_v_s_m': 50.0,
+                },
+            },
+            disturbances={
+                'weight': {'kind': 'constant', 'coordinate': 'travel', 'force_n': -turned * weight}
+            },
+        )  # fmt: skip
+        s = state[0]
+        s['terminals_open'][0] = 1
+        s['velocity'][0] = turned * direction * 0.05
+        s['external_force'][0] = turned * efficiency * weight
+        before = audit.books(machine, state, parameters)
+        run(state, parameters, 200, np.zeros(3), np.zeros((200, 1)))
+        net = efficiency * weight - weight - direction * limit
+        if asymmetry == 0.0:
+            assert net == pytest.approx(0.0, abs=1e-12)
+        expected = turned * (direction * 0.05 + net / MASS * 200 * TICK)
+        assert s['velocity'][0] == pytest.approx(expected, rel=1e-9)
+        assert abs(audit.imbalance(before, audit.books(machine, state, parameters))) < 1e-9
+        s['velocity'][0] = 0.0
+        s['external_force'][0] = turned * 40.5
+        place = s['position'][0]
+        run(state, parameters, 200, np.zeros(3), np.zeros((200, 1)))
+        assert s['velocity'][0] == 0.0
+        assert s['position'][0] == place
+
+
+def test_friction_at_a_gear_that_turns_the_direction_round_is_the_same() -> None:
+    """Loss by the load's direction on the motor's coordinate, through a ratio below zero."""
+    found = []
+    for sign, back in ((1.0, 0.5), (-1.0, 0.5), (1.0, 0.1)):
+        gears = {
+            'coordinate': 'y_rotate_motor', 'speed_rad_s': [0.0], 'torque_nm': [0.0],
+            'per_motor_force': 0.1, 'per_motor_force_back': back,
+        }  # fmt: skip
+        machine = load_machine('rigid', overlays=[{'frictions': {'gears': gears}}])
+        parameters = machine.parameters()
+        row = machine.coordinates.index('y_rotate')
+        slot = list(machine.description.frictions).index('gears')
+        parameters[0]['friction_ratio'][slot] *= sign
+        state = machine.initial_state(parameters)
+        state[0]['terminals_open'][:] = 1
+        state[0]['velocity'][row] = 0.3
+        state[0]['external_force'][row] = -2.0
+        record = np.zeros((300, len(machine.coordinates)))
+        run(state, parameters, 300, np.zeros(3), record)
+        found.append(record)
+    assert np.array_equal(found[0], found[1])
+    assert np.abs(found[0] - found[2]).max() > 1e-5
+
+
+def test_presliding_slides_by_the_drag_too() -> None:
+    """Steady speed where the bristles carry 4 N + b |v|^(2/3), forward and backward."""
+    drag = {'force_n': 5.0, 'at_speed_m_s': 1.0, 'exponent': 2.0 / 3.0}
+    presliding = {'stiffness_n_m': 1e6, 'damping_n_s_m': 10.0}
+    for direction in (1.0, -1.0):
+        friction = {**COULOMB, 'asymmetry': 0.1, 'presliding': presliding, 'drag': drag}
+        _, parameters, state = slide(friction)
+        force = (4.0 + 5.0 * 0.2 ** (2.0 / 3.0)) * (1.0 + 0.1 * direction)
+        state[0]['velocity'][0] = direction * 0.2
+        state[0]['bristle'][0] = direction * force / 1e6
+        state[0]['external_force'][0] = direction * force
+        run(state, parameters, 1800, np.zeros(3), np.zeros((1800, 1)))
+        assert state[0]['velocity'][0] == pytest.approx(direction * 0.2, rel=1e-9)
+
+
 def lugre(y, pull, stiffness, damping, limit, mass=MASS):
     """Return (x', v', z') of a mass with LuGre friction, as published."""
     _, v, z = y
@@ -324,6 +450,9 @@ def test_taking_the_law_away_while_it_runs_leaves_the_table() -> None:
         ({'position_amplitude': 0.5, 'period_rad': 1.0}, 'wrong unit.*give period_m'),
         ({'period_m': 0.5}, 'period_m: goes with position_amplitude'),
         ({'cold_amplitude': 1.0}, 'give both cold_amplitude and cold_time_s'),
+        ({'drag': {'at_speed_m_s': 1.0}}, 'drag: force_n missing'),
+        ({'drag': {'force_n': 1.0}}, 'drag: at_speed_m_s missing'),
+        ({'drag': {'torque_nm': 1.0, 'at_speed_m_s': 1.0}}, 'wrong unit.*give force_n'),
         ({'presliding': {}}, 'presliding: stiffness_n_m missing'),
         ({'presliding': {'stiffness_n_m': 1.0}, 'breakaway': 1.5}, 'breakaway: friction with pre'),
     ],

@@ -41,7 +41,10 @@ from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibrati
 Vector = NDArray[np.float64]
 
 LONGEST_DELAY = 15
-"""Longest delay of an encoder that the plant's history of readings can hold, in phase cycles."""
+"""Longest delay of an encoder that is counted in phase cycles, all in all."""
+
+LONGEST_DELAY_S = 0.02
+"""Longest delay of an encoder that is given as a time, beyond that, s."""
 
 BASE = 'base'
 """Name of the body that does not move."""
@@ -271,8 +274,8 @@ class EncoderErrors:
     What is wrong with an encoder, none by default; see `waferbot_plant.encoders`.
 
     `scale` is relative; `eccentricity` in m or rad; `interpolation`, `coarseness`, `noise` (rms) and
-    `lost_counts` in counts; `extra_delay` and `delay_fraction` in phase cycles; `lost_every` in m or
-    rad, 0 where nothing is lost.
+    `lost_counts` in counts; `extra_delay` and `delay_fraction` in phase cycles, `delay` in s;
+    `lost_every` in m or rad, 0 where nothing is lost.
     """
 
     scale: float = 0.0
@@ -281,6 +284,7 @@ class EncoderErrors:
     coarseness: float = 1.0
     extra_delay: int = 0
     delay_fraction: float = 0.0
+    delay: float = 0.0
     noise: float = 0.0
     noise_seed: int = 0
     lost_counts: float = 0.0

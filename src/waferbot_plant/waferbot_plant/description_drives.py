@@ -103,6 +103,7 @@ def _encoder_errors(reader: Reader, place: str, revolute: bool) -> EncoderErrors
         coarseness=float(value.get('coarseness_counts', 1.0)),
         extra_delay=int(value.get('extra_delay_cycles', 0)),
         delay_fraction=float(value.get('delay_fraction', 0.0)),
+        delay=float(value.get('delay_s', 0.0)),
         noise=float(value.get('noise_counts', 0.0)),
         noise_seed=int(value.get('noise_seed', 0)),
         lost_counts=float(lost.get('counts', 0.0)),

@@ -12,7 +12,7 @@ Imperfections
 All are off unless the description names them. With x the position in counts at an encoder tick and
 x_before that at the one before, the reading is made in this order:
 
-    u = x + f (x_before - x)                              delay_fraction f, phase cycles
+    u = x + f (x_before - x)                              delay_fraction f, phase cycles; delay_s
     v = (1 + e) u + A cos(2 pi u / P - phi)               scale_error e, eccentricity A, P, phi
     w = v + B cos(2 pi v / Q - psi)                       interpolation B, Q, psi
     count = floor(C floor((w - lost + noise) / C))        coarseness_counts C
@@ -22,7 +22,8 @@ x_before that at the one before, the reading is made in this order:
 - `interpolation`: cyclic error of the interpolator, in counts over one signal period of Q counts.
 - `delay_fraction`: a straight line between two readings, so exact for constant speed; motion of
   frequency F is also weakened, most by half a cycle: by cos(pi F / phase rate), 0.5 % at 300 Hz and
-  9 kHz. `extra_delay_cycles`: whole cycles more.
+  9 kHz. `extra_delay_cycles`: whole cycles more. `delay_s`: a time more, whatever the cycle: whole
+  cycles of it, and a fraction for the rest.
 - `noise_counts`: rms of white noise, a new value at each encoder tick.
 - `lost_counts`: whenever the position passes a mark, in either direction, so many counts are lost
   for good. The marks lie at 1/2, 3/2, ... of the spacing on both sides of zero, so that home is not
@@ -41,12 +42,17 @@ from typing import Any
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.noise import normal
-from waferbot_plant.description import LONGEST_DELAY, Encoder
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.description import LONGEST_DELAY, LONGEST_DELAY_S, Encoder
 from waferbot_plant.multibody import sine_and_cosine
 
 ENCODERS = 4
 """Places for encoders in the contract."""
+
+READINGS = 2 + LONGEST_DELAY + round(LONGEST_DELAY_S * Timing().current_loop_hz)
+"""Readings in the plant's history: the longest delay, where a phase cycle is one tick."""
 
 NOISE_CHANNEL = 1000
 """Channel of the noise of the first encoder; the others follow."""
@@ -81,29 +87,43 @@ spacing of the marks in counts; `..._per_count` rad per count; `mark_spacing` ze
 """
 
 STATE_FIELDS: list[tuple] = [
-    ('readings', 'i8', (LONGEST_DELAY + 1, ENCODERS)),
+    ('readings', 'i8', (READINGS, ENCODERS)),
     ('position_before', 'f8', (ENCODERS,)),
     ('lost', 'f8', (ENCODERS,)),
     ('between_marks', 'i8', (ENCODERS,)),
 ]
 """
-The last readings, in counts, the newest at place (tick / divider) mod 16; of imperfect encoders the
-position at the last reading and the counts lost so far, and between which marks it was.
+The last readings, in counts, the newest at place (tick / divider) mod `READINGS`; of imperfect
+encoders the position at the last reading and the counts lost so far, and between which marks it was.
 """
 
 
-def encoder_data(encoder: Encoder, ratio: float, common_delay: int) -> dict[str, Any]:
+def encoder_data(
+    encoder: Encoder, ratio: float, common_delay: int, encoder_hz: float
+) -> dict[str, Any]:
     """
     Return the parameters of an encoder by their names.
 
     `ratio` is motion of its coordinate over that of the minimal coordinate, `common_delay` the
-    phase cycles by which all encoders are late.
+    phase cycles by which all encoders are late, `encoder_hz` how many of these a second has. Raises
+    `UserError` if these are so short that the history of readings does not reach back far enough.
     """
     counts = encoder.counts_per_unit
     errors = encoder.errors
+    whole, fraction = 0, errors.delay_fraction
+    if errors.delay != 0.0:
+        late = errors.delay_fraction + errors.delay * encoder_hz
+        whole = math.floor(late)
+        fraction = late - whole
+    if common_delay + errors.extra_delay + whole >= READINGS:
+        longest = (READINGS - 1 - common_delay - errors.extra_delay) / encoder_hz
+        raise UserError(
+            f'encoders.{encoder.place}: delay_s: is {errors.delay:g}; with {encoder_hz:g} readings '
+            f'per second it must be below {longest:g}'
+        )
     return {
         'counts_per_unit': counts * ratio,
-        'encoder_delay': common_delay + errors.extra_delay,
+        'encoder_delay': common_delay + errors.extra_delay + whole,
         'encoder_imperfect': errors != type(errors)(),
         'scale_error': errors.scale,
         'eccentricity': errors.eccentricity.amplitude * counts,
@@ -113,7 +133,7 @@ def encoder_data(encoder: Encoder, ratio: float, common_delay: int) -> dict[str,
         'interpolation_per_count': 2.0 * math.pi / errors.interpolation.period,
         'interpolation_phase': errors.interpolation.phase,
         'coarseness': errors.coarseness,
-        'delay_fraction': errors.delay_fraction,
+        'delay_fraction': fraction,
         'encoder_noise': errors.noise,
         'encoder_noise_seed': errors.noise_seed,
         'loss_at_mark': errors.lost_counts,
@@ -206,7 +226,7 @@ def fill_readings(s, p):
     """Fill the history as if the machine had always stood where it is; no count lost so far."""
     for encoder in range(ENCODERS):
         count = read_encoder(p, s['position'], encoder)
-        for place in range(LONGEST_DELAY + 1):
+        for place in range(READINGS):
             s['readings'][place, encoder] = count
         if not p['encoder_imperfect'][encoder]:
             continue
@@ -215,8 +235,8 @@ def fill_readings(s, p):
         s['lost'][encoder] = 0.0
         if p['mark_spacing'][encoder] > 0.0:
             s['between_marks'][encoder] = _between_marks(p, encoder, now)
-        for back in range(LONGEST_DELAY, 0, -1):
-            place = (LONGEST_DELAY + 1) - back
+        for back in range(READINGS - 1, 0, -1):
+            place = READINGS - back
             s['readings'][place, encoder] = read_imperfect_encoder(s, p, encoder, -back)
 
 
@@ -231,11 +251,11 @@ def measure_counts(s, p, tick, counts):
     if tick % p['encoder_divider'] != 0:
         return
     reading = tick // p['encoder_divider']
-    newest = reading % (LONGEST_DELAY + 1)
+    newest = reading % READINGS
     for encoder in range(ENCODERS):
         if p['encoder_imperfect'][encoder]:
             s['readings'][newest, encoder] = read_imperfect_encoder(s, p, encoder, reading)
         else:
             s['readings'][newest, encoder] = read_encoder(p, s['position'], encoder)
-        published = (reading - p['encoder_delay'][encoder]) % (LONGEST_DELAY + 1)
+        published = (reading - p['encoder_delay'][encoder]) % READINGS
         counts[encoder] = s['readings'][published, encoder]

@@ -4,12 +4,23 @@ What makes real dry friction differ from a table of resistance over speed.
 
 The table T(|u|) of a friction, with u the speed of its coordinate x, is made
 
-    R = (T + mu |F_m|) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau)) (1 + a sign(u))
+    R = (T + b |u|^p + mu |F_m|) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau)) (1 + a sign(u))
 
-load-dependent by the force or torque F_m of the motors on the same coordinate, position-dependent
-(a bent rail, an eccentric seal), cold at the start of the run (a ferrofluid that warms), and
-dependent on direction. At rest T is the table's first value times `breakaway`. It stays
-set-valued: whatever is within the limits of both directions sticks exactly.
+growing with a power of the speed (p = 1 viscous, 2/3 a rolling bearing in oil), load-dependent by
+the force or torque F_m of the motors on the same coordinate, position-dependent (a bent rail, an
+eccentric seal), cold at the start of the run (a ferrofluid that warms), and dependent on direction.
+At rest T is the table's first value times `breakaway`. It stays set-valued: whatever is within the
+limits of both directions sticks exactly.
+
+mu may differ with who drives: mu_d where the motor does (F_m u > 0), mu_b where the load does
+(F_m u < 0). For a gear or screw of efficiencies eta_d and eta_b the loss is the part of what comes
+in that does not go out, in terms of the motor's force
+
+    mu_d = 1 - eta_d,    mu_b = (1 - eta_b) / eta_b,
+
+exactly so at constant speed; F_m includes what speeds up the motor's own rotor, which no mesh
+carries. Source: G. Niemann, H. Winter, Maschinenelemente II, Springer 2003 (efficiency of screws
+and worm gears in both directions).
 
 **Presliding** (stiffness sigma_0 > 0) turns a friction into the model of LuGre instead,
 
@@ -43,12 +54,14 @@ def parameter_fields(frictions: int) -> list[tuple]:
     """
     Return the dtype fields; zero is without effect, in each of them.
 
-    In the order of the equation: mu (-), A (-), k (rad per m or rad of x), phase (rad), C (-),
-    1 / tau (1/s), a (-); sigma_0 in N/m or Nm/rad, sigma_1 in N s/m or Nm s/rad.
+    In the order of the equation: b (N or Nm at 1 m/s or rad/s), p (-), mu_d (-), mu_b - mu_d (-),
+    A (-), k (rad per m or rad of x), phase (rad), C (-), 1 / tau (1/s), a (-); sigma_0 in N/m or
+    Nm/rad, sigma_1 in N s/m or Nm s/rad.
     """
     names = (
-        'per_motor_force', 'position_amplitude', 'position_wave', 'position_phase',
-        'cold_amplitude', 'cold_rate', 'asymmetry', 'bristle_stiffness', 'bristle_damping',
+        'drag', 'drag_exponent', 'per_motor_force', 'more_when_driven',
+        'position_amplitude', 'position_wave', 'position_phase', 'cold_amplitude',
+        'cold_rate', 'asymmetry', 'bristle_stiffness', 'bristle_damping',
     )  # fmt: skip
     return [(f'friction_{name}', 'f8', (frictions,)) for name in names]
 
@@ -61,6 +74,7 @@ def state_fields(frictions: int, coordinates: int) -> list[tuple]:
     """
     return [
         ('any_friction_law', 'i8'),
+        ('friction_tilt_now', 'f8', (frictions,)),
         ('sliding_tilt', 'f8', (coordinates,)),
         ('holding_tilt', 'f8', (coordinates,)),
         ('bristle', 'f8', (frictions,)),
@@ -76,7 +90,9 @@ def find_friction_laws(s, p):
     found = False
     for friction in range(p['frictions']):
         found |= (
-            (p['friction_per_motor_force'][friction] != 0.0)
+            (p['friction_drag'][friction] != 0.0)
+            | (p['friction_per_motor_force'][friction] != 0.0)
+            | (p['friction_more_when_driven'][friction] != 0.0)
             | (p['friction_position_amplitude'][friction] != 0.0)
             | (p['friction_cold_amplitude'][friction] != 0.0)
             | (p['friction_asymmetry'][friction] != 0.0)
@@ -105,14 +121,16 @@ def _factor(s, p, friction, place, time):
 @compiled
 def _load_part(s, p, friction, mean):
     """
-    Return mu |F_m|: what the motors' force adds to the table, N or Nm on x.
+    Return what the motors' force adds to the table, N or Nm on x: the mean of both directions, and by
+    how much the limit is higher in the positive direction of x than that.
 
     A motor with open terminals makes no force. What pushes its coordinate from outside then stands for
     it: that is how a plant is driven by measured currents.
     """
     share = p['friction_per_motor_force'][friction]
-    if share == 0.0:
-        return 0.0
+    more = 0.5 * p['friction_more_when_driven'][friction]
+    if share == 0.0 and more == 0.0:
+        return 0.0, 0.0
     coordinate = p['friction_coordinate'][friction]
     total = 0.0
     outside = 0.0
@@ -123,7 +141,17 @@ def _load_part(s, p, friction, mean):
             ratio = p['motor_ratio'][motor]
             force, damping = force_and_damping(s, p, motor)
             total += ratio * (force - damping * ratio * mean[coordinate])
-    return share * abs((total + outside) / p['friction_ratio'][friction])
+    force = (total + outside) / p['friction_ratio'][friction]
+    return (share + more) * abs(force), -more * force
+
+
+@compiled
+def _speed_part(p, friction, speed):
+    """Return T + b |u|^p, N or Nm on x, at a speed |u| of zero or more."""
+    found = resistance_at(p, friction, speed)
+    if p['friction_drag'][friction] != 0.0:
+        found += p['friction_drag'][friction] * speed ** p['friction_drag_exponent'][friction]
+    return found
 
 
 @compiled
@@ -138,7 +166,7 @@ def limit_lawful_friction(s, p, middle, mean, step):
         s['sliding_friction'][row] = s['holding_friction'][row] = 0.0
         s['sliding_tilt'][row] = s['holding_tilt'][row] = 0.0
     for friction in range(p['frictions']):
-        s['friction_now'][friction] = 0.0
+        s['friction_now'][friction] = s['friction_tilt_now'][friction] = 0.0
         if p['friction_bristle_stiffness'][friction] != 0.0:
             continue
         row = p['friction_coordinate'][friction]
@@ -146,18 +174,23 @@ def limit_lawful_friction(s, p, middle, mean, step):
         if ratio == 0.0:
             continue
         factor = ratio * _factor(s, p, friction, p['friction_ratio'][friction] * middle[row], time)
-        load = _load_part(s, p, friction, mean)
-        moving = factor * (resistance_at(p, friction, ratio * abs(mean[row])) + load)
-        at_rest = p['friction_resistance'][friction, 0] + load
-        holding = factor * at_rest * p['friction_breakaway'][friction]
+        load, uneven = _load_part(s, p, friction, mean)
         tilt = p['friction_asymmetry'][friction]
         if p['friction_ratio'][friction] < 0.0:
-            tilt = -tilt
+            tilt, uneven = -tilt, -uneven
+        # (even + uneven sign) (1 + tilt sign), in even and odd parts.
+        uneven *= factor
+        even = factor * (_speed_part(p, friction, ratio * abs(mean[row])) + load)
+        moving, odd = even + tilt * uneven, tilt * even + uneven
+        breakaway = p['friction_breakaway'][friction]
+        even = factor * (p['friction_resistance'][friction, 0] + load) * breakaway
+        uneven *= breakaway
         s['friction_now'][friction] = moving
+        s['friction_tilt_now'][friction] = odd
         s['sliding_friction'][row] += moving
-        s['holding_friction'][row] += holding
-        s['sliding_tilt'][row] += tilt * moving
-        s['holding_tilt'][row] += tilt * holding
+        s['holding_friction'][row] += even + tilt * uneven
+        s['sliding_tilt'][row] += odd
+        s['holding_tilt'][row] += tilt * even + uneven
 
 
 @compiled
@@ -171,7 +204,9 @@ def add_presliding(s, p, matrix, right, middle, mean, velocity, step):
         row = p['friction_coordinate'][friction]
         ratio = p['friction_ratio'][friction]
         speed = ratio * mean[row]
-        limit = resistance_at(p, friction, abs(speed)) + _load_part(s, p, friction, mean)
+        load, uneven = _load_part(s, p, friction, mean)
+        limit = _speed_part(p, friction, abs(speed)) + load
+        limit += uneven if speed >= 0.0 else -uneven
         limit *= _factor(s, p, friction, ratio * middle[row], time)
         tilt = p['friction_asymmetry'][friction]
         limit *= 1.0 + tilt if speed >= 0.0 else 1.0 - tilt
@@ -226,15 +261,12 @@ def book_lawful_frictions(s, p, mean, step):
     """Do what `book_frictions` does, with shares that follow the direction."""
     for friction in range(p['frictions']):
         row = p['friction_coordinate'][friction]
-        share = s['friction_now'][friction]
-        tilt = p['friction_asymmetry'][friction]
-        if p['friction_ratio'][friction] < 0.0:
-            tilt = -tilt
         direction = 1.0 if mean[row] > 0.0 else -1.0
+        share = s['friction_now'][friction] + direction * s['friction_tilt_now'][friction]
         total = s['sliding_friction'][row] + direction * s['sliding_tilt'][row]
         if total > 0.0:
             loss = -s['friction_force'][row] * mean[row] * step
-            s['friction_loss'][friction] += loss * share * (1.0 + direction * tilt) / total
+            s['friction_loss'][friction] += loss * share / total
 
 
 @compiled

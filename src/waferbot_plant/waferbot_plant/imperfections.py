@@ -249,6 +249,11 @@ def read_friction_law(reader: Reader, key: Key, revolute: bool) -> dict[str, flo
         raise reader.document.error(key, 'give both cold_amplitude and cold_time_s, or neither')
     if 'cold_time_s' in value:
         law['cold_rate'] = 1.0 / value['cold_time_s']
+    if 'per_motor_force_back' in value:
+        driving = value.get('per_motor_force', 0.0)
+        law['more_when_driven'] = float(value['per_motor_force_back']) - driving
+    if 'drag' in value:
+        law |= _drag(reader, key, revolute, float(value.get('factor', 1.0)))
     if 'presliding' in value:
         inner = (*key, 'presliding')
         if value.get('breakaway', 1.0) != 1.0:
@@ -264,6 +269,15 @@ def read_friction_law(reader: Reader, key: Key, revolute: bool) -> dict[str, flo
             reader, inner, revolute, 'damping_n_s_m', 'damping_nm_s_rad'
         )
     return law
+
+
+def _drag(reader: Reader, key: Key, revolute: bool, factor: float) -> dict[str, float]:
+    """Return coefficient and exponent of b |u|^p, from the force at one speed."""
+    inner = (*key, 'drag')
+    force = reader.quantity(inner, revolute, 'force_n', 'torque_nm')
+    speed = reader.quantity(inner, revolute, 'at_speed_m_s', 'at_speed_rad_s')
+    exponent = float(reader.data['frictions'][key[1]]['drag'].get('exponent', 1.0))
+    return {'drag': factor * force / speed**exponent, 'drag_exponent': exponent}
 
 
 def optional(

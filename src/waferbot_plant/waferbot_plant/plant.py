@@ -264,9 +264,10 @@ class Machine:
                 encoder = description.encoders[place_name]
                 row, ratio = self._placing(encoder.coordinate)
                 p['encoder_coordinate'][place] = row
-                fill_place(
-                    p, place, encoders.encoder_data(encoder, ratio, description.encoder_delay)
+                data = encoders.encoder_data(
+                    encoder, ratio, description.encoder_delay, self.timing.encoder_hz
                 )
+                fill_place(p, place, data)
         p['encoder_divider'] = self.timing.encoder_divider
         return parameters
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.timing import Timing
 from waferbot_plant import current_sensors, encoders, motors
 from waferbot_plant.description import Description
 from waferbot_plant.plant import fill_place
@@ -61,10 +62,13 @@ def motor_encoder(description: Description, axis: str) -> int | None:
     )
 
 
-def winding_parameters(description: Description) -> np.ndarray:
+def winding_parameters(
+    description: Description, encoder_hz: float = Timing().encoder_hz
+) -> np.ndarray:
     """
     Return the parameters (`WINDING_PARAMETERS`, shape (1,)) of windings, their sensors and encoders.
 
+    `encoder_hz` is the rate of the readings, in whose cycles delays come out.
     Without noise: what is computed here is what a measurement is compared with.
     """
     parameters = np.zeros(1, WINDING_PARAMETERS)
@@ -81,7 +85,8 @@ def winding_parameters(description: Description) -> np.ndarray:
         if encoder is not None:
             p['encoder_coordinate'][encoder] = place
             own = description.encoders[ENCODERS[encoder]]
-            fill_place(p, encoder, encoders.encoder_data(own, 1.0, description.encoder_delay))
+            late = description.encoder_delay
+            fill_place(p, encoder, encoders.encoder_data(own, 1.0, late, encoder_hz))
     p['current_noise'] = 0.0
     p['encoder_noise'] = 0.0
     return parameters

@@ -94,7 +94,7 @@ def test_an_encoder_that_is_late_by_several_readings_gains_what_it_should():
     seed = 20261124
     print(f'seed {seed}')
     nominal, timing = Variant.of(load_model('rigid')), Timing()
-    late = Cause(find('encoder_delay'), 'x_rotate', {'delay': 8.0})
+    late = Cause(find('encoder_delay'), 'x_rotate', {'delay': 8e3 / timing.encoder_hz})
     variant = late.effect.apply(nominal, late.axis, late.values)
     noisy = variant.with_overlay(noise(nominal, 0.5, seed, np.random.default_rng(seed)))
     twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')

@@ -382,6 +382,44 @@ def test_centre_of_gravity_turns_the_axis() -> None:
     assert weights[1] - weights[0] == pytest.approx(mass * 9.81 * offset, rel=1e-9)
 
 
+def test_a_delay_is_a_time_and_long_only_where_nobody_knows_what_lies_between():
+    effect, cycles_per_ms = find('encoder_delay'), 9.0
+    (known,) = effect.parameters(nominal(), 'x_rotate')
+    assert known.unit == 'ms'
+    assert known.high == pytest.approx(14.0 / cycles_per_ms)
+    late = effect.apply(nominal(), 'x_rotate', {'delay': 1.2})
+    parameters = late.build(TIMING).parameters()[0]
+    place = ENCODERS.index('x_rotate')
+    found = parameters['encoder_delay'][place] + parameters['delay_fraction'][place]
+    assert found == pytest.approx(1.0 + 1.2 * cycles_per_ms)
+
+    text = whole_text(find_description('single_mass'))
+    alone = Variant('single_mass', yaml.safe_load(text), 'improved', {}, {})
+    (free,) = effect.parameters(alone, 'y_linear')
+    assert free.high == 20.0
+    slow = Timing(8000, 1, 1)
+    parameters = effect.apply(alone, 'y_linear', {'delay': 20.0}).build(slow).parameters()[0]
+    assert parameters['encoder_delay'][ENCODERS.index('y_linear')] == 1 + 160
+    command = find('command_delay')
+    (item,) = command.parameters(nominal(), 'x_rotate')
+    assert (item.unit, item.high) == ('ms', pytest.approx(8.0 / 2.25))
+    for interrupts in range(9):
+        machine = command.apply(nominal(), 'x_rotate', {'delay': interrupts * item.resolution})
+        assert machine.pmac['x_rotate']['command_delay'] == interrupts
+
+
+def test_of_a_logged_force_nobody_asks_what_the_motor_makes_of_its_current():
+    forced = replace(nominal(), force_driven=frozenset({'x_rotate'}))
+    later = find('coulomb_friction').apply(forced, 'x_rotate', {})
+    for name in ('motor_saturation', 'torque_ripple', 'winding_imbalance'):
+        assert 'x_rotate' in find(name).axes(nominal())
+        for variant in (forced, later):
+            assert 'x_rotate' not in find(name).axes(variant)
+            assert 'y_rotate' in find(name).axes(variant)
+    for name in ('force_constant', 'cogging'):  # of the force itself
+        assert 'x_rotate' in find(name).axes(forced)
+
+
 def test_page_is_up_to_date() -> None:
     """If this fails: python -m waferbot_twin.effects.effects_page docs/effects.md."""
     page = (Path(__file__).parents[3] / 'docs' / 'effects.md').read_text('utf-8')

@@ -34,6 +34,7 @@ ENCODER = {
     'coarseness_counts': 16,
     'extra_delay_cycles': 3,
     'delay_fraction': 0.5,
+    'delay_s': 0.001,
     'noise_counts': 2.0,
     'lost_counts': {'counts': 2, 'every_rad': 5e-4},
 }

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from waferbot_lockstep.timing import Timing
 from waferbot_twin.effects.effect import Parameter
 
 LARGEST_GROUP = 3
@@ -157,7 +158,7 @@ def parameter_errors(
 
 def _scale(effect: str, item: Parameter, real: float, inertia: float) -> tuple[str, float]:
     if item.name == 'delay':
-        return 'delay', 1.0
+        return 'delay', item.resolution or 1e3 / Timing().encoder_hz  # ms of a cycle
     if item.name == 'ratio':
         return 'gain', real
     if effect == 'wrong_inertia':

@@ -81,7 +81,7 @@ def test_a_drive_that_is_right_is_quiet_whatever_the_mechanism_is(nominal, hidde
 
 def test_readings_that_are_late_are_not_missed_at_the_end_of_a_log(nominal):
     """Where X-Rotate was in the last ticks, an encoder this late would show behind the log's end."""
-    late = find('encoder_delay').apply(nominal, 'x_rotate', {'delay': 8.0})
+    late = find('encoder_delay').apply(nominal, 'x_rotate', {'delay': 8e3 / Timing().encoder_hz})
     record = log(late)
     speed = np.diff(record.reading[-20:, AXES.index('x_rotate')])
     assert abs(speed.mean()) > 1.0  # it moves there

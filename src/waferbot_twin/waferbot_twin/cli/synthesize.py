@@ -90,6 +90,7 @@ def _list(options: argparse.Namespace) -> int:
                     'effect': effect.name,
                     'block': effect.block.value,
                     'axes': list(axes),
+                    'title': effect.title,
                     'summary': effect.summary,
                 }
                 for effect, axes in effects
@@ -100,6 +101,7 @@ def _list(options: argparse.Namespace) -> int:
     for column in table.columns:
         column.justify, column.no_wrap = 'left', False
     for effect, axes in effects:
-        table.add_row(effect.name, effect.block.value, ' '.join(axes) or '-', effect.summary)
+        what = f'{effect.title}: {effect.summary}'
+        table.add_row(effect.name, effect.block.value, ' '.join(axes) or '-', what)
     result_console.print(table)
     return 0

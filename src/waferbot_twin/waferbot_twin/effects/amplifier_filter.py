@@ -59,4 +59,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='y / x = 1 / (1 + time_constant s)',
+    title='low-pass filter of the amplifier',
 )

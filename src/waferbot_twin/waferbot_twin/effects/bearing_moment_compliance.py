@@ -9,4 +9,5 @@ EFFECT = compliance_effect(
     'bearing_moment_compliance',
     'the bearing of a rotary axis gives under moments',
     tilting_bearing,
+    title='tilting compliance of the bearing',
 )

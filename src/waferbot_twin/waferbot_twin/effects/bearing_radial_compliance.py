@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.compliances import compliance_effect, shifting_bearing
 
 EFFECT = compliance_effect(
-    'bearing_radial_compliance', 'the bearing of a rotary axis gives radially', shifting_bearing
+    'bearing_radial_compliance',
+    'the bearing of a rotary axis gives radially',
+    shifting_bearing,
+    title='radial compliance of the bearing',
 )

@@ -53,4 +53,5 @@ EFFECT = Effect(
     equation='F = k e up to 2 pretension, slope k / 2 beyond',
     threshold=True,
     drive_train=True,
+    title='lost belt pretension',
 )

@@ -38,4 +38,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='U = U_0 - resistance P / U',
+    title='bus voltage sag',
 )

@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.compliances import compliance_effect, stage
 
 EFFECT = compliance_effect(
-    'cable_compliance', 'cables to the counterweight stretch', stage('cable')
+    'cable_compliance',
+    'cables to the counterweight stretch',
+    stage('cable'),
+    title='compliance of the cables',
 )

@@ -47,4 +47,5 @@ EFFECT = Effect(
     _overlay,
     equation='mass in the middle of two springs of 2 k',
     tried_at=(0.25, 0.5, 1.0, 2.0),
+    title='mass of the cables',
 )

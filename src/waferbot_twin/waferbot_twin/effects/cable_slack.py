@@ -44,4 +44,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='e = x_1 + x_2 - rest - slack, F = k max(e, 0)',
+    title='slack in the cables',
 )

@@ -58,4 +58,5 @@ EFFECT = Effect(
     _overlay,
     equation='torque = m g x offset',
     usual=True,
+    title='centre-of-gravity offset',
 )

@@ -61,4 +61,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='n_shown = step floor(n / step)',
+    title='coarse encoder resolution',
 )

@@ -51,7 +51,9 @@ stiffer ones make lines in a spectrum.
 """
 
 
-def compliance_effect(name: str, summary: str, group: Group, drive_train: bool = False) -> Effect:
+def compliance_effect(
+    name: str, summary: str, group: Group, drive_train: bool = False, title: str = ''
+) -> Effect:
     """Return the effect of another compliance of a group of connections."""
 
     def axes(variant: Variant) -> tuple[str, ...]:
@@ -90,6 +92,7 @@ def compliance_effect(name: str, summary: str, group: Group, drive_train: bool =
         rings=True,
         tried_at=GIVING,
         drive_train=drive_train,
+        title=title,
     )
 
 
@@ -198,15 +201,15 @@ def softer_part(variant: Variant, name: str, direction: str, softer: float) -> d
     }
 
 
-def stage(kind: str) -> Group:
-    """Return the group of the connections in stages of a kind, in what the axis is driven by."""
+def stage(*kinds: str) -> Group:
+    """Return the group of the connections in stages of these kinds, in what the axis is driven by."""
 
     def group(variant: Variant, axis: str) -> tuple[str, ...]:
         return tuple(
             part.connection
             for transmission in variant.description.transmissions.values()
             for part in transmission.stages
-            if part.kind == kind
+            if part.kind in kinds
             and part.connection is not None
             and places.moves_with(variant, axis, transmission.driven)
         )

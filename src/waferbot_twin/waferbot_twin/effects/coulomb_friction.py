@@ -32,4 +32,5 @@ EFFECT = Effect(
     equation='F = friction sign(v)',
     tried_at=frictions.STICKS,
     usual=True,
+    title='Coulomb friction',
 )

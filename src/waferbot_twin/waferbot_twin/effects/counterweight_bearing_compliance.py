@@ -9,4 +9,5 @@ EFFECT = compliance_effect(
     'counterweight_bearing_compliance',
     'the guide of the counterweight lets it tilt',
     tilting_counterweight,
+    title='tilting compliance of the counterweight guide',
 )

@@ -41,4 +41,5 @@ EFFECT = Effect(
     usual=True,
     same_as='coulomb_friction',
     distinct=places.drive_gives,
+    title='Coulomb friction of the counterweight',
 )

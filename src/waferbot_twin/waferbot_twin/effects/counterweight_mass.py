@@ -49,4 +49,5 @@ EFFECT = Effect(
     _overlay,
     equation="(M + mass) x'' = ... + mass g",
     usual=True,
+    title='counterweight mass error',
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='Cp, Ci = ratio Cp, ratio Ci of the model',
+    title='current-loop gain error',
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='Ci = ratio Ci of the model',
+    title='current-loop integral gain error',
 )

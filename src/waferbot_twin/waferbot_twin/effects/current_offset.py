@@ -43,4 +43,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='measured_k = i_k + line_k',
+    title='current-sensor offset',
 )

@@ -49,4 +49,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='u_k = u_k - voltage sign(i_k)',
+    title='dead time of the bridge',
 )

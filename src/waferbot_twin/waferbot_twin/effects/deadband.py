@@ -54,4 +54,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='error = 0 within size, else error - size sign(error)',
+    title='deadband of the following error',
 )

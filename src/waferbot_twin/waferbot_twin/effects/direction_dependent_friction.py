@@ -46,4 +46,5 @@ EFFECT = Effect(
     _overlay,
     equation='F = forward (v > 0), -backward (v < 0)',
     tried_at=frictions.STICKS,
+    title='Coulomb friction that differs with direction',
 )

@@ -80,6 +80,7 @@ class Effect:
     """
     A physical cause.
 
+    `title` is the noun phrase that an engineer would say: the name in words if none is given.
     `parameters(variant, axis)` gives the parameters with values that fit the machine (a friction is
     measured by the motor's force, a compliance by what hangs on it), in a fixed order; `axes(variant)`
     the axes on which it makes sense; `overlay(variant, axis, values)` what it changes in a model that
@@ -120,6 +121,12 @@ class Effect:
     fades_after: str = ''
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always
+    title: str = ''
+
+    def __post_init__(self) -> None:
+        """Make a title of the name where none is given."""
+        if not self.title:
+            object.__setattr__(self, 'title', self.name.replace('_', ' '))
 
     def distinct_axes(self, variant: Variant) -> tuple[str, ...]:
         """Return the axes on which the effect makes sense and no other one does exactly the same."""

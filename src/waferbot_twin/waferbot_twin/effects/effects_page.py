@@ -14,8 +14,12 @@ import re
 import sys
 from pathlib import Path
 
+import yaml
+
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.description_file import whole_text
+from waferbot_plant.plant import find_description
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.variant import Variant
@@ -23,6 +27,9 @@ from waferbot_twin.models import load_model
 
 MODELS = ('rigid', 'simplified')
 """Models that the axes and parameters of the table are of; the first that has the effect counts."""
+
+EXAMPLE = 'two_mass_drive'
+"""The example of a description for what none of these models can have."""
 
 _SECTION = re.compile(r'(<!-- generated: effects -->\n).*?(<!-- end -->)', re.DOTALL)
 
@@ -36,7 +43,9 @@ def renewed(page: str) -> str:
 
 def table() -> str:
     """Return the library as tables in Markdown, one for each block."""
+    example = yaml.safe_load(whole_text(find_description(EXAMPLE)))
     variants = [Variant.of(load_model(name)) for name in MODELS]
+    variants.append(Variant(EXAMPLE, example, 'improved', {}, {}))
     blocks: dict[str, list[str]] = {}
     for effect in library().values():
         blocks.setdefault(effect.block.value, []).append(_row(effect, variants))
@@ -48,8 +57,10 @@ def table() -> str:
 
 def _row(effect: Effect, variants: list[Variant]) -> str:
     """Return the row of an effect."""
-    found = {axis for variant in variants for axis in effect.axes(variant)}
-    axes = [axis for axis in AXES if axis in found]
+    found = {
+        axis for variant in variants if variant.name != EXAMPLE for axis in effect.axes(variant)
+    }
+    axes = [axis for axis in AXES if axis in found] or [f'of `{EXAMPLE}`']
     variant = next(variant for variant in variants if effect.axes(variant))
     named: dict[str, list[Parameter]] = {}
     for axis in effect.axes(variant):
@@ -59,8 +70,8 @@ def _row(effect: Effect, variants: list[Variant]) -> str:
     marks = {' (threshold)': effect.threshold, ' (usual)': effect.usual}
     mark = ''.join(text for text, holds in marks.items() if holds)
     return (
-        f'| `{effect.name}`{mark}: {effect.summary} | {", ".join(axes)} | {parameters} | '
-        f'{_cell(effect.equation)} |'
+        f'| `{effect.name}`{mark}, {effect.title}: {effect.summary} | {", ".join(axes)} | '
+        f'{parameters} | {_cell(effect.equation)} |'
     )
 
 

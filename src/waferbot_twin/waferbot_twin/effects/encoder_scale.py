@@ -33,4 +33,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='x_shown = (1 + error) x',
+    title='encoder scale error',
 )

@@ -35,4 +35,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='y(n) = y(n-1) + (x(n) - y(n-1)) / (1 + time_constant)',
+    title='low-pass filter of the feedback',
 )

@@ -30,4 +30,5 @@ EFFECT = Effect(
     _overlay,
     equation='k = ratio k_model',
     usual=True,
+    title='force constant error',
 )

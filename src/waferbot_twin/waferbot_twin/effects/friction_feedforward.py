@@ -13,4 +13,5 @@ EFFECT = difference_effect(
     lambda variant, axis: 0.01 * places.DAC_BITS,
     0,
     32767,
+    title='friction feedforward error',
 )

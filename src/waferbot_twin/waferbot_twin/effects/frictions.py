@@ -7,6 +7,7 @@ So effects of several kinds add up, and none touches a friction that the model h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,14 +17,17 @@ from waferbot_twin.effects.variant import Variant
 ON_AXIS = (
     'cold_ferrofluid',
     'coulomb_friction',
+    'direction_dependent_damping',
     'direction_dependent_friction',
     'position_dependent_friction',
     'presliding',
+    'rolling_drag',
     'stribeck_friction',
+    'velocity_strengthening_friction',
 )
 """Effects with a slot on the coordinate of the axis."""
 
-ON_MOTOR = ('gearbox_friction', 'load_dependent_friction')
+ON_MOTOR = ('gear_efficiency', 'gearbox_friction', 'load_dependent_friction')
 """Effects with a slot on the coordinate of the motor."""
 
 ON_COUNTERWEIGHT = ('counterweight_friction',)
@@ -61,6 +65,36 @@ def slot(
         **(law or {}),
     }
     return {'frictions': {f'{axis}_{effect}': entry}}
+
+
+def drag(
+    variant: Variant,
+    axis: str,
+    effect: str,
+    coefficient: float,
+    exponent: float,
+    law: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """
+    Return the part of a description that fills a slot with friction b |v|^p.
+
+    `coefficient` is b: N or Nm at 1 m/s or rad/s.
+    """
+    if coefficient == 0.0:
+        return slot(variant, axis, effect, [0.0], [0.0])
+    _, turns = _place(variant, axis, effect)
+    force, speed = ('torque_nm', 'at_speed_rad_s') if turns else ('force_n', 'at_speed_m_s')
+    grows = {'drag': {force: coefficient, speed: 1.0, 'exponent': exponent}}
+    return slot(variant, axis, effect, [0.0], [0.0], {**(law or {}), **grows})
+
+
+STRIBECK_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0)
+"""Points of a table of Stribeck's curve, in Stribeck's speed: straight lines are off by 2 % at most."""
+
+
+def stribeck_curve() -> tuple[float, ...]:
+    """Return exp(-(v / v_s)^2) at `STRIBECK_SHARES` of v_s: from one to nothing, which it is beyond."""
+    return (*(math.exp(-(share**2)) for share in STRIBECK_SHARES[:-1]), 0.0)
 
 
 def _place(variant: Variant, axis: str, effect: str) -> tuple[str, bool]:

@@ -17,7 +17,12 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 
 def ratio_effect(
-    name: str, i_variable: str, summary: str, lowest: float = 0.2, typical: float = 0.9
+    name: str,
+    i_variable: str,
+    summary: str,
+    lowest: float = 0.2,
+    typical: float = 0.9,
+    title: str = '',
 ) -> Effect:
     """Return the effect of an I-variable that is `ratio` times that of the model."""
 
@@ -38,7 +43,16 @@ def ratio_effect(
         return Overlay(pmac={axis: {i_variable: value}})
 
     equation = f'{i_variable} = ratio {i_variable} of the model'
-    return Effect(name, Block.CONTROLLER, summary, axes, parameters, overlay, equation=equation)
+    return Effect(
+        name,
+        Block.CONTROLLER,
+        summary,
+        axes,
+        parameters,
+        overlay,
+        equation=equation,
+        title=title,
+    )
 
 
 def difference_effect(
@@ -48,6 +62,7 @@ def difference_effect(
     typical: Callable[[Variant, str], float],
     lowest: int = SMALLEST_24_BIT,
     highest: int = LARGEST_24_BIT,
+    title: str = '',
 ) -> Effect:
     """
     Return the effect of an I-variable that is `difference` more than in the model.
@@ -75,4 +90,5 @@ def difference_effect(
         parameters,
         overlay,
         equation=f'{i_variable} = {i_variable} of the model + difference',
+        title=title,
     )

@@ -36,4 +36,5 @@ EFFECT = Effect(
     usual=True,
     same_as='viscous_friction',
     distinct=places.drive_gives,
+    title='viscous friction of motor and gearbox',
 )

@@ -66,4 +66,5 @@ EFFECT = Effect(
     several_trials('time', 0.005, 0.1),
     equation='|I| <= continuous once the integral of I^2 - continuous^2 is used up',
     threshold=True,
+    title='I2T fold-back of the amplifier',
 )

@@ -76,4 +76,5 @@ EFFECT = Effect(
     _trials,
     cycle='period',
     equation='n_shown = n + cosine cos kn + sine sin kn, k = 2 pi / period',
+    title='encoder interpolation error',
 )

@@ -69,4 +69,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='M = k c (1 + stiffening (c / c_0)^2)',
+    title='bearing stiffness that grows with load',
 )

@@ -33,4 +33,5 @@ EFFECT = Effect(
     _overlay,
     equation='F = share |F_motor| sign(v)',
     tried_at=frictions.STICKS,
+    title='friction that grows with motor force',
 )

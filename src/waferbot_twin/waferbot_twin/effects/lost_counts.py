@@ -64,4 +64,5 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='n_shown = n - counts (marks passed)',
+    title='lost encoder counts',
 )

@@ -38,8 +38,9 @@ EFFECT = Effect(
     'motor_saturation',
     Block.MOTOR,
     'iron saturates: less force per ampere at high current',
-    places.motor_axes,
+    places.current_driven_axes,
     _parameters,
     _overlay,
     equation='F = k I / sqrt(1 + curvature I^2)',
+    title='magnetic saturation of the motor',
 )

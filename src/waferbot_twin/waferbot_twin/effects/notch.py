@@ -73,4 +73,5 @@ EFFECT = Effect(
     _overlay,
     several_trials('frequency', 50.0, 100.0, 200.0),
     equation='H = 1 - depth + depth H_notch(frequency)',
+    title='notch filter of the controller',
 )

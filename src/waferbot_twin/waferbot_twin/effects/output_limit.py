@@ -52,4 +52,5 @@ EFFECT = Effect(
     _overlay,
     equation='|output| <= limit',
     threshold=True,
+    title='output limit of the controller',
 )

@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.compliances import compliance_effect, tilting_guide
 
 EFFECT = compliance_effect(
-    'payload_bearing_compliance', 'the guide lets its carriage tilt', tilting_guide
+    'payload_bearing_compliance',
+    'the guide lets its carriage tilt',
+    tilting_guide,
+    title='tilting compliance of the guide',
 )

@@ -39,4 +39,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='measured_k = (1 + line_k) i_k',
+    title='gain mismatch of the current sensors',
 )

@@ -33,6 +33,11 @@ def motor_axes(variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in variant.base.description.motors)
 
 
+def current_driven_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a motor whose current, not only whose force, is known."""
+    return tuple(axis for axis in motor_axes(variant) if axis not in variant.base.force_driven)
+
+
 def controlled_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose controller is known."""
     return tuple(axis for axis in motor_axes(variant) if variant.pmac.get(axis))
@@ -254,6 +259,11 @@ def force_unit(variant: Variant, axis: str) -> str:
 def motor_force_unit(variant: Variant, axis: str) -> str:
     """Return the unit of what the motor of an axis makes."""
     return 'Nm' if motor_rotary(variant, axis) else 'N'
+
+
+def damping_unit(variant: Variant, axis: str) -> str:
+    """Return the unit of a force on the axis per speed of it."""
+    return 'Nm s/rad' if rotary(variant, axis) else 'N s/m'
 
 
 def length_unit(variant: Variant, axis: str) -> str:

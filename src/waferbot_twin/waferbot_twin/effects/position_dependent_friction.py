@@ -78,4 +78,5 @@ EFFECT = Effect(
     _trials,
     equation='F = mean (1 + cosine cos kx + sine sin kx) sign(v), k = 2 pi / period',
     tried_at=frictions.STICKS,
+    title='Coulomb friction that changes along the way',
 )

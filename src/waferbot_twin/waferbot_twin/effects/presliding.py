@@ -2,10 +2,14 @@
 """
 Friction that is a spring before it slides: bristles of rolling contacts and seals (LuGre).
 
-    z' = v - |v| z / z_s,    F = F_c z / z_s
+    z' = v - |v| z / z_s,    F = F_c / z_s (z + relaxation z')
 
 with z the deflection of the bristles and z_s that at which they give way. The stiffness before
-sliding is F_c / z_s. In steady sliding this is Coulomb friction of F_c.
+sliding is F_c / z_s, the damping there `relaxation` times that (sigma_1 = relaxation sigma_0 of LuGre).
+In steady sliding this is Coulomb friction of F_c, whatever the relaxation.
+
+Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of systems
+with friction, IEEE Trans. Automatic Control 40 (1995); their example has a relaxation of 3.2 ms.
 """
 
 from __future__ import annotations
@@ -27,6 +31,10 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
             'distance', length, distance, distance, 0.01 * distance, 100.0 * distance,
             'deflection at which it slides', shape=True,
         ),
+        Parameter(
+            'relaxation', 's', 0.0, 0.0, 0.0, 0.02, 'damping over stiffness, before it slides',
+            shape=True,
+        ),
     )  # fmt: skip
 
 
@@ -37,8 +45,13 @@ def _distances(variant: Variant, axis: str) -> tuple[float, float, float]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    key = 'stiffness_nm_rad' if places.rotary(variant, axis) else 'stiffness_n_m'
-    law = {'presliding': {key: values['friction'] / values['distance']}}
+    turns = places.rotary(variant, axis)
+    stiffness = values['friction'] / values['distance']
+    bristles = {'stiffness_nm_rad' if turns else 'stiffness_n_m': stiffness}
+    if values['relaxation'] > 0.0:
+        damping = values['relaxation'] * stiffness
+        bristles['damping_nm_s_rad' if turns else 'damping_n_s_m'] = damping
+    law = {'presliding': bristles}
     return Overlay(frictions.slot(variant, axis, 'presliding', [0.0], [values['friction']], law))
 
 
@@ -54,6 +67,7 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     _trials,
-    equation="LuGre: z' = v - |v| z / distance, F = friction z / distance",
+    equation="LuGre: z' = v - |v| z / distance, F = friction (z + relaxation z') / distance",
     tried_at=frictions.STICKS,
+    title='presliding friction',
 )

@@ -7,13 +7,17 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from waferbot_plant.description import LONGEST_DELAY, CyclicError, Encoder
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.description import LONGEST_DELAY, LONGEST_DELAY_S, CyclicError, Encoder
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
 
 EncoderOf = Callable[[Variant, str], Encoder]
 """Which encoder of an axis."""
+
+_TYPICAL_MS = 4e3 / Timing().encoder_hz
+"""Four phase cycles."""
 
 
 def _on(variant: Variant, name: str) -> Encoder | None:
@@ -77,10 +81,22 @@ def added(own: CyclicError, cosine: float, sine: float) -> tuple[float, float]:
 
 
 def longest_delay(variant: Variant, encoder: Encoder) -> float:
-    """Return how many phase cycles later the readings can become."""
+    """
+    Return how much later the readings can become, s.
+
+    Where controllers or amplifiers are known, readings come by a fast ring: what its counters hold, in
+    phase cycles. Of a machine alone, whatever lies between an encoder and a log.
+    """
     errors = encoder.errors
-    common = variant.description.encoder_delay
-    return LONGEST_DELAY - common - errors.extra_delay - errors.delay_fraction
+    if variant.is_machine_alone:
+        return LONGEST_DELAY_S - errors.delay
+    cycles = (
+        LONGEST_DELAY
+        - variant.description.encoder_delay
+        - errors.extra_delay
+        - errors.delay_fraction
+    )
+    return cycles / Timing().encoder_hz - errors.delay
 
 
 def eccentricity_effect(
@@ -149,22 +165,22 @@ def delay_effect(
     name: str, summary: str, axes: Callable[[Variant], tuple[str, ...]], encoder_of: EncoderOf
 ) -> Effect:
     """
-    Return the effect of readings of an encoder that are older than in the model.
+    Return the effect of readings of an encoder that are older than in the model, by a time.
 
     Continuous: whole phase cycles, and a straight line between two readings for what is left of one.
+    Of a log that was brought in, only how much later the position is than the drive shows: a drive that
+    acts late is the same.
     """
 
     def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-        most = longest_delay(variant, encoder_of(variant, axis))
-        meaning = 'more than in the model'
-        return (Parameter('delay', 'phase cycles', 0.0, min(4.0, most), 0.0, most, meaning),)
+        most = 1e3 * longest_delay(variant, encoder_of(variant, axis))
+        typical = min(_TYPICAL_MS, most)
+        return (Parameter('delay', 'ms', 0.0, typical, 0.0, most, 'more than in the model'),)
 
     def changes(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         encoder = encoder_of(variant, axis)
-        total = encoder.errors.extra_delay + encoder.errors.delay_fraction + values['delay']
-        whole = math.floor(total)
-        entry = {'extra_delay_cycles': whole, 'delay_fraction': total - whole}
-        return overlay(encoder, entry)
+        total = encoder.errors.delay + 1e-3 * values['delay']
+        return overlay(encoder, {'delay_s': min(total, LONGEST_DELAY_S)})
 
     return Effect(
         name,

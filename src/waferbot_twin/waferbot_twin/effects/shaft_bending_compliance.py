@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.compliances import bending_shaft, compliance_effect
 
 EFFECT = compliance_effect(
-    'shaft_bending_compliance', 'the shaft of a rotary axis bends', bending_shaft
+    'shaft_bending_compliance',
+    'the shaft of a rotary axis bends',
+    bending_shaft,
+    title='bending compliance of the shaft',
 )

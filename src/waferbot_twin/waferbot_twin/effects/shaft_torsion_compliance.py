@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.compliances import compliance_effect, twisting_shaft
 
 EFFECT = compliance_effect(
-    'shaft_torsion_compliance', 'the shaft of a rotary axis twists', twisting_shaft
+    'shaft_torsion_compliance',
+    'the shaft of a rotary axis twists',
+    twisting_shaft,
+    title='torsional compliance of the shaft',
 )

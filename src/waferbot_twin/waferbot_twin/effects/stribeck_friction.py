@@ -5,7 +5,8 @@ Friction that is higher at rest than in motion, and falls as a film of lubricant
     F = F_b exp(-(|v| / v_s)^2) sign(v)
 
 with F_b the part that has to be broken away from and v_s Stribeck's speed. Only that part: with
-`coulomb_friction` it is the usual curve. As a table of ten speeds up to 3 v_s, an error below 2 %
+`coulomb_friction` it is the usual curve. Of the other sign, lower at rest than in motion, it is
+`velocity_strengthening_friction`. As a table of ten speeds up to 3 v_s, an error below 2 %
 of F_b.
 
 Source: B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis tools and
@@ -14,15 +15,11 @@ compensation methods for the control of machines with friction, Automatica 30 (1
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from waferbot_twin.effects import frictions, places
 from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
-
-SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0)
-"""Points of the table, in Stribeck's speed."""
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
@@ -42,9 +39,8 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
-    speeds = [share * values['speed'] for share in SHARES]
-    shares = [math.exp(-(share**2)) for share in SHARES[:-1]] + [0.0]
-    resistances = [values['breakaway'] * share for share in shares]
+    speeds = [share * values['speed'] for share in frictions.STRIBECK_SHARES]
+    resistances = [values['breakaway'] * share for share in frictions.stribeck_curve()]
     return Overlay(frictions.slot(variant, axis, 'stribeck_friction', speeds, resistances))
 
 
@@ -63,4 +59,5 @@ EFFECT = Effect(
     _trials,
     equation='F = breakaway exp(-(v / speed)^2) sign(v)',
     tried_at=frictions.STICKS,
+    title='Stribeck friction',
 )

@@ -12,7 +12,7 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     scale = places.rated_force(variant, axis) / places.rated_speed(variant, axis)
-    unit = 'Nm s/rad' if places.rotary(variant, axis) else 'N s/m'
+    unit = places.damping_unit(variant, axis)
     return (Parameter('damping', unit, 0.0, 0.1 * scale, 0.0, 30.0 * scale, 'friction per speed'),)
 
 

@@ -2,9 +2,10 @@
 """
 A wafer is carried that the model does not have: a thin disc at the tip of the last axis.
 
-The disc lies flat (across the vertical), with its centre twice as far from the joint as the centre
-of gravity of what the axis carries: at the tip of an even arm. A wafer of 300 mm has 0.128 kg, one
-of 450 mm 0.34 kg; with what holds it, more.
+Only an arm that turns about the vertical carries wafers: nothing is offered on a slide, a pendulum
+or a wheel. The disc lies flat (across the vertical), with its centre twice as far from the joint as
+the centre of gravity of what the axis carries: at the tip of an even arm. A wafer of 300 mm has
+0.128 kg, one of 450 mm 0.34 kg; with what holds it, more.
 """
 
 from __future__ import annotations
@@ -20,14 +21,30 @@ from waferbot_twin.effects.variant import Overlay, Variant
 RADIUS_M = 0.15
 
 
+_LEAST_ARM_M = 0.01
+"""Distance of the centre of gravity from the axis from which a body counts as an arm."""
+
+
 def _axes(variant: Variant) -> tuple[str, ...]:
-    """Return the axis whose body carries no other."""
+    """Return the axis whose body carries no other, if that is an arm that turns about the vertical."""
     parents = {joint.parent for joint in variant.description.joints.values()}
     return tuple(
         axis
         for axis in places.jointed_axes(variant)[-1:]
         if not parents.intersection(places.carried_bodies(variant, axis))
+        and places.rotary(variant, axis)
+        and _reach(variant, axis) > _LEAST_ARM_M
     )
+
+
+def _reach(variant: Variant, axis: str) -> float:
+    """Return how far an axis about the vertical holds its centre of gravity, m; 0 about another one."""
+    joint, about = places.joint_of(variant, axis), places.direction_of(variant, axis)
+    assert joint is not None
+    if abs(about[1]) < 0.9:
+        return 0.0
+    arm = places.carried_body(variant.base, axis).centre_of_gravity - joint.at
+    return float(np.linalg.norm(arm - (arm @ about) * about))
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
@@ -62,4 +79,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='a disc of mass at the tip, inertia by Steiner',
+    title='carried wafer',
 )

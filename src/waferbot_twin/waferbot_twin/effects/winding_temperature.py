@@ -37,4 +37,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='R = R_model (1 + 0.00393 rise)',
+    title='winding temperature rise',
 )

@@ -30,4 +30,5 @@ EFFECT = difference_effect(
     'Ixx35',
     'acceleration feedforward (Ixx35) is not that of the model',
     _typical,
+    title='acceleration feedforward error',
 )

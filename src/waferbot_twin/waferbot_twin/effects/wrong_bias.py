@@ -13,4 +13,5 @@ EFFECT = difference_effect(
     lambda variant, axis: 0.01 * places.DAC_BITS,
     -32768,
     32767,
+    title='output bias error',
 )

@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.gains import ratio_effect
 
 EFFECT = ratio_effect(
-    'wrong_derivative_gain', 'Ixx31', 'derivative gain (Ixx31) is not that of the model'
+    'wrong_derivative_gain',
+    'Ixx31',
+    'derivative gain (Ixx31) is not that of the model',
+    title='derivative gain error',
 )

@@ -46,4 +46,5 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F = ratio F_model',
+    title="error of the model's friction",
 )

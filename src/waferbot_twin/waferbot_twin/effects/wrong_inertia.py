@@ -35,4 +35,5 @@ EFFECT = Effect(
     _overlay,
     equation='M = M_model + mass (inertia)',
     usual=True,
+    title='mass or inertia error',
 )

@@ -11,4 +11,5 @@ EFFECT = ratio_effect(
     'integral gain (Ixx33) is not that of the model',
     lowest=0.0,
     typical=0.6,
+    title='integral gain error',
 )

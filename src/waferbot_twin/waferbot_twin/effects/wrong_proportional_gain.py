@@ -6,5 +6,8 @@ from __future__ import annotations
 from waferbot_twin.effects.gains import ratio_effect
 
 EFFECT = ratio_effect(
-    'wrong_proportional_gain', 'Ixx30', 'proportional gain (Ixx30) is not that of the model'
+    'wrong_proportional_gain',
+    'Ixx30',
+    'proportional gain (Ixx30) is not that of the model',
+    title='proportional gain error',
 )

@@ -11,4 +11,5 @@ EFFECT = difference_effect(
     'velocity feedforward (Ixx32) is not that of the model',
     # The derivative gain is what fully makes up for the lag of a moving axis.
     lambda variant, axis: 0.2 * max(variant.i_variable(axis, 'Ixx31'), 100.0),
+    title='velocity feedforward error',
 )

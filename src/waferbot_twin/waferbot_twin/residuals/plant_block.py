@@ -96,7 +96,7 @@ SAMPLES_PER_TAP = 20
 GAP = 4.0
 """A time between readings that is so many times the usual one is a gap."""
 
-LONGEST_DELAY = 32
+LONGEST_DELAY = encoders.READINGS
 
 
 class PlantBlock:

@@ -132,7 +132,9 @@ def test_friction_that_sticks_is_known_from_other_dry_friction_by_what_it_holds(
 
 def test_a_delay_of_two_interrupts_that_sets_a_loop_swinging_is_tried_as_two():
     nominal = Variant.of(load_model('rigid'))
-    true = Cause(find('command_delay'), 'x_rotate', {'delay': 2.0})
+    effect = find('command_delay')
+    true = Cause(effect, 'x_rotate', effect.typical(nominal, 'x_rotate'))
+    assert true.values == {'delay': 2e3 / Timing().servo_hz}
     problem = log_of(nominal, true, 'step', noise=0.0)
     first = best_screened(
         problem, 'command_delay', 'notch', 'wrong_derivative_gain', axis='x_rotate'

@@ -100,8 +100,8 @@ def test_the_delay_of_an_encoder_does_not_show_where_nothing_moves(nominal):
     block = PlantBlock(noisy, nominal)
     effect = find('encoder_delay')
     for axis in ('y_linear', 'x_rotate', 'y_rotate'):
-        for delay in (0.5, 3.0):
-            late = effect.apply(nominal, axis, {'delay': delay})
+        for delay in (0.5, 3.0):  # phase cycles
+            late = effect.apply(nominal, axis, {'delay': 1e3 * delay / Timing().encoder_hz})
             spreads = [
                 likelihood(residuals, [Noise(0.0, 24)] * 4)
                 for residuals in (block.residuals(nominal), block.residuals(late))
