@@ -2,10 +2,11 @@
 """
 A diagnosis from beginning to end: logs in, causes, what they gain, what stays unexplained.
 
-The posterior over causes is that of all logs together (`inference.single_effects`). What is reported as
-gain is from logs that were not used for the fit: the same causes are fitted to the estimation data alone,
-and the extended model is simulated in the validation data. With a single log its last part validates. A
-cause without which the validation data are explained better is withdrawn (`validation.holdout`).
+The posterior over causes is that of all logs together (`inference.single_effects`). What is
+reported as gain is from logs that were not used for the fit: the same causes are fitted to the
+estimation data alone, and the extended model is simulated in the validation data. With a single
+log its last part validates. A cause without which the validation data are explained better is
+withdrawn (`validation.holdout`).
 """
 
 from __future__ import annotations
@@ -55,11 +56,12 @@ class FoundCause:
     A cause with what is known of it.
 
     probability     posterior probability that this is the cause, 0 to 1
-    credible_set    the fewest candidates that hold the cause with 95 %, the most probable first, this one
+    credible_set    the fewest candidates that hold the cause with 95 %, the most probable first,
+    this one
                     among them
-    intervals_95    ends of the 95 % interval of each parameter; one that was chosen from a few has none
-    log_evidence    ln of the Bayes factor against none of it
-    share           share of what the nominal model leaves over on the cause's axis, mean square in the block
+    intervals_95    ends of the 95 % interval of each parameter; one that was chosen from a few has
+    none log_evidence    ln of the Bayes factor against none of it share           share of what
+    the nominal model leaves over on the cause's axis, mean square in the block
                     where it shows most, that goes with it alone, 0 to 1
     """
 
@@ -82,8 +84,9 @@ class Diagnosis:
     """
     The result of a diagnosis.
 
-    `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent` (the
-    model explains the logs). `residual_rms` has by block and channel what the nominal model leaves over.
+    `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent`
+    (the model explains the logs). `residual_rms` has by block and channel what the nominal model
+    leaves over.
     """
 
     nominal: Variant
@@ -117,8 +120,8 @@ def diagnose(
     """
     Diagnose logs against a model.
 
-    `without` names effects that are left out of the library. Raises `UserError` if the logs are too short
-    or the nominal model does not run in their motions.
+    `without` names effects that are left out of the library. Raises `UserError` if the logs are
+    too short or the nominal model does not run in their motions.
     """
     begun_s = time.perf_counter()
     settings = settings or Settings()
@@ -178,7 +181,8 @@ def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
     for record in records:
         if record.duration_s < SHORTEST_S:
             raise UserError(
-                f'{record.name} is {record.duration_s:.3f} s long; a diagnosis needs {SHORTEST_S} s at least'
+                f'{record.name} is {record.duration_s:.3f} s long; a diagnosis needs '
+                f'{SHORTEST_S} s at least'
             )
         border_s = (1.0 - HELD_OUT) * record.duration_s
         estimation.append(record.part(0.0, border_s))

@@ -2,25 +2,26 @@
 """
 How much more the logs speak for one set of causes than for another.
 
-**Gain.** Two hypotheses A and B leave the residuals r_A and r_B, filtered by the noise model of A. With
-the difference d = r_B - r_A and the power lambda of what A leaves over along d, known with nu degrees of
-freedom (`noise_model.residual_spectrum.power_along`),
+**Gain.** Two hypotheses A and B leave the residuals r_A and r_B, filtered by the noise model of A.
+With the difference d = r_B - r_A and the power lambda of what A leaves over along d, known with nu
+degrees of freedom (`noise_model.residual_spectrum.power_along`),
 
     G = (nu + 1) / 2 ln(1 + (|r_B|^2 - |r_A|^2) / (lambda nu))                                      (1)
 
-is the logarithm of their likelihood ratio. Where the noise model is right, lambda is 1, nu large and G the
-usual one; where A lacks something, or noise has another colour, the working likelihood is corrected as
-composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 94, 2007): the weighting, and with it the
-estimate, stays that of the noise model.
+is the logarithm of their likelihood ratio. Where the noise model is right, lambda is 1, nu large
+and G the usual one; where A lacks something, or noise has another colour, the working likelihood
+is corrected as composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 94, 2007): the
+weighting, and with it the estimate, stays that of the noise model.
 
-**Evidence.** Of a cause with the estimate w and its covariance V, in a normal scale mixture of priors
-N(0, tau_m^2 W) with equal weights (W from the effect's typical size), the Bayes factor against none of it is
+**Evidence.** Of a cause with the estimate w and its covariance V, in a normal scale mixture of
+priors N(0, tau_m^2 W) with equal weights (W from the effect's typical size), the Bayes factor
+against none of it is
 
-    ln BF = G + ln 1/M sum over m of |V|^(1/2) |V + tau_m^2 W|^(-1/2) exp(-1/2 w' (V + tau_m^2 W)^-1 w)    (2)
+    ln BF = G + ln 1/M sum over m of |V|^1/2 |V_m|^-1/2 exp(-w' V_m^-1 w / 2),  V_m = V + tau_m^2 W   (2)
 
 (Laplace's approximation; G is the w' V^-1 w / 2 of the linear case). A shape parameter, a phase or a
-frequency, has no size: its prior has the width of what is possible, so that whoever tries many frequencies
-pays for it.
+frequency, has no size: its prior has the width of what is possible, so that whoever tries many
+frequencies pays for it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ SMALLEST = 1e-12
 
 def gain(more: Hypothesis, fewer: Hypothesis) -> float:
     """
-    Return equation (1), block by block: how much likelier the logs are with `more` than with `fewer`.
+    Return equation (1), block by block: how much likelier the logs are with `more` than with
+    `fewer`.
 
     Antisymmetric: seen from the one that leaves less over. Both are hypotheses of the same problem.
     """
@@ -72,7 +74,8 @@ def log_occam(
     """
     Return the second term of equation (2) of a cause whose estimates have the covariance `spread`.
 
-    It is zero or negative for a size that is usual, the more so the better the logs know the values.
+    It is zero or negative for a size that is usual, the more so the better the logs know the
+    values.
     """
     if not parameters:
         return 0.0

@@ -2,20 +2,22 @@
 """
 What an autoregression leaves of the colour of noise, by its spectrum.
 
-An autoregression of order p at a sampling rate f_s tells frequencies apart that are f_s / p from one
-another. Slow forces, below some Hz, it does not see: they raise the spectrum of its residual at the
-lowest frequencies by a factor of ten and more and hardly change its autocorrelation. Parameters that
-show there, such as a force constant by the weight that it holds, then seem better known than they are.
-So the residual's periodogram is averaged over bands that grow with frequency. What is compared is
-divided by its square root, frequency by frequency (`Whitening`), or left as it is, and how far its noise
-moves what is fitted to it is found with that spectrum (`covariance`).
+An autoregression of order p at a sampling rate f_s tells frequencies apart that are f_s / p from
+one another. Slow forces, below some Hz, it does not see: they raise the spectrum of its residual
+at the lowest frequencies by a factor of ten and more and hardly change its autocorrelation.
+Parameters that show there, such as a force constant by the weight that it holds, then seem better
+known than they are. So the residual's periodogram is averaged over bands that grow with frequency.
+What is compared is divided by its square root, frequency by frequency (`Whitening`), or left as it
+is, and how far its noise moves what is fitted to it is found with that spectrum (`covariance`).
 
-Limit: the lowest lines are averaged with one another. Where noise still rises towards zero among them,
-what shows in the first two periods of a log only is known less well than this says, by some tenths.
+Limit: the lowest lines are averaged with one another. Where noise still rises towards zero among
+them, what shows in the first two periods of a log only is known less well than this says, by some
+tenths.
 
-Sources: P. Stoica and R. Moses, Spectral Analysis of Signals, 2005, section 2.7 (averaged periodogram);
-H. White, Econometrica 48, 1980 (covariance of least squares where the noise is not as assumed); for
-coloured noise by its spectrum, E. J. Hannan, Multiple Time Series, 1970, chapter VII.
+Sources: P. Stoica and R. Moses, Spectral Analysis of Signals, 2005, section 2.7 (averaged
+periodogram); H. White, Econometrica 48, 1980 (covariance of least squares where the noise is not
+as assumed); for coloured noise by its spectrum, E. J. Hannan, Multiple Time Series, 1970, chapter
+VII.
 """
 
 from __future__ import annotations
@@ -38,9 +40,10 @@ FEWEST = 4
 BAND = 0.25
 """Half of a band, as a share of its middle frequency."""
 
-COSINES = 8
+COSINES = 16
 """
-K of equation (1): few enough that noise has the same power in all of them, up to K / 2T Hz in a log of T s.
+K of equation (1): few enough that noise has the same power in all of them, up to K / 2T Hz in a
+log of T s.
 """
 
 
@@ -48,8 +51,8 @@ def spectrum(white: Array) -> Array:
     """
     Return the averaged periodogram of N samples at the N // 2 + 1 frequencies of their transform.
 
-    White noise of unit variance has 1 everywhere. The mean is not noise, so the line at zero has the
-    average of the lines above it.
+    White noise of unit variance has 1 everywhere. The mean is not noise, so the line at zero has
+    the average of the lines above it.
     """
     count = len(white)
     lines = np.abs(np.fft.rfft(white - white.mean())) ** 2 / count
@@ -125,14 +128,16 @@ def power_along(
     """
     Return the power of the noise in a direction d, white noise of unit variance having 1:
 
-        lambda = sum over c of J_c / sum of |d_c|^2,     J_c = 1/K sum over k of (sum over n of q_k d_c e_c)^2.  (1)
+        lambda = sum over c of J_c / sum of |d_c|^2,                                            (1)
+        J_c = 1/K sum over k of (sum over n of q_k d_c e_c)^2.
 
-    `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as `colours` say;
-    q_k are the first K cosines over the samples. J is the long-run variance of d e (E. Lazarus, D. Lewis,
-    J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018: equal-weighted cosines), right whatever
-    the colour of e, and where e is larger while the axis moves. It has K degrees of freedom in a channel, and
-    nu = (sum J_c)^2 / sum(J_c^2 / K) in all (Satterthwaite). Of a channel that follows to the last bit, where
-    no noise is, J_c is |d_c|^2 and exact.
+    `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as
+    `colours` say; q_k are the first K cosines over the samples. J is the long-run variance of d e
+    (E. Lazarus, D. Lewis, J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018:
+    equal-weighted cosines), right whatever the colour of e, and where e is larger while the axis
+    moves. It has K degrees of freedom in a channel, and nu = (sum J_c)^2 / sum(J_c^2 / K) in all
+    (Satterthwaite). Of a channel that follows to the last bit, where no noise is, J_c is |d_c|^2
+    and exact.
     """
     total = noisy = uncertain = 0.0
     for white, change, colour in zip(left, changes, colours, strict=True):
@@ -151,13 +156,15 @@ def power_along(
 
 def covariance(system: Array, estimate: Fit) -> Array:
     """
-    Return the covariance (k, k) of what is fitted to white rows A, `system` (N, k), with a joint fit.
+    Return the covariance (k, k) of what is fitted to white rows A, `system` (N, k), with a joint
+    fit.
 
     Least squares with noise that is not as assumed have the sandwich covariance
 
         (A' A)^-1 (sum over c of J_c) (A' A)^-1,
 
-    J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact channel A_c' A_c.
+    J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
+    channel A_c' A_c.
     """
     scale = np.linalg.norm(system, axis=0)
     scale[scale == 0.0] = 1.0

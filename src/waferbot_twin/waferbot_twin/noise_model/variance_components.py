@@ -2,30 +2,30 @@
 """
 The noise of a motion residual as a sum of what sensors and disturbances can be.
 
-A filter that is free to take any shape (an autoregression of what is left over) takes for noise whatever
-the model gets wrong, and moves all weight to the frequencies at which it is right: high ones, and
-reversals. The bias of a prediction-error estimate is where its noise model leaves weight (L. Ljung,
-System Identification, 2nd ed., section 8.5). So the spectrum of the noise is not free here. It is
+A filter that is free to take any shape (an autoregression of what is left over) takes for noise
+whatever the model gets wrong, and moves all weight to the frequencies at which it is right: high
+ones, and reversals. The bias of a prediction-error estimate is where its noise model leaves weight
+(L. Ljung, System Identification, 2nd ed., section 8.5). So the spectrum of the noise is not free
+here. It is
 
     S(f) = sum over k of s_k B_k(f),      s_k >= 0,                                              (1)
 
-with shapes B_k that follow from where noise comes from. An innovation e of an observer of frequency f_o
-and damping z (`residuals.plant_block`) shows a force through 1 / D(f) and noise of the reading through
-(f / f_o)^2 / D(f), D(f) = |1 - (f / f_o)^2 + 2 i z f / f_o|:
+with shapes B_k that follow from where noise comes from. An innovation e of an observer of
+frequency f_o and damping z (`residuals.plant_block`) shows a force through 1 / D(f) and noise of
+the reading through (f / f_o)^2 / D(f), D(f) = |1 - (f / f_o)^2 + 2 i z f / f_o|:
 
-    noise of the reading, white       B = (f / f_o)^4 / D^2
-    noise of the innovation itself    B = 1
-    force, white                      B = 1 / D^2
+    noise of the reading, white         B = (f / f_o)^4 / D^2
+    noise of the innovation itself      B = 1
+    force, white up to a corner f_c     B = 1 / (D^2 (1 + (f / f_c)^2)),    f_c = 10 Hz, 30 Hz, none
 
-so that in the band where forces show every one of them weighs the same, as in inverse dynamics. Forces
-with a colour of their own would fit the noise of some machines better, and take what a model lacks for
-noise in all others: with corners from 3 Hz on the Coulomb friction of a ball-screw axis (EMPS) is 14.2 N
-where least squares say 20.4 N, with these shapes 20.3 N. The variances s_k are those of maximum likelihood in the averaged
-periodogram (Whittle), by multiplicative steps that raise it every time (D. R. Hunter and K. Lange 2004;
-C. Fevotte, N. Bertin, J.-L. Durrieu, Neural Computation 21, 2009, for the Itakura-Saito divergence).
+Slower forces are not noise but something that the model lacks: they are left to causes and to the
+model discrepancy. And the spectrum is that of the residual without what goes with the motion
+(`motion_basis`). The variances s_k are those of maximum likelihood in the averaged periodogram
+(Whittle), by multiplicative steps that raise it every time (D. R. Hunter and K. Lange 2004; C.
+Fevotte, N. Bertin, J.-L. Durrieu, Neural Computation 21, 2009, for the Itakura-Saito divergence).
 
-What the spectrum does not catch is no part of the weighting. It counts where two models are compared and
-in intervals (`residual_spectrum.power_along`, `covariance`).
+What the spectrum does not catch is no part of the weighting. It counts where two models are
+compared and in intervals (`residual_spectrum.power_along`, `covariance`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
+from waferbot_twin.noise_model.motion_basis import without_motion
+
 Array = NDArray[np.float64]
+
+CORNERS_HZ = (10.0, 30.0, np.inf)
 
 STEPS = 60
 """Multiplicative steps: the last of them changes spectra by less than a percent."""
@@ -50,17 +54,19 @@ RIDGE = 1e-9
 """Share of the variance that is added as white noise, so that every spectrum has a filter."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Shapes:
     """
     The possible colours of a motion residual's noise.
 
-    `rate_hz` is the residual's sampling rate, `observer_hz` and `damping` those of its observer.
+    `rate_hz` is the residual's sampling rate, `observer_hz` and `damping` those of its observer;
+    `motion` are orthonormal columns (n, k) that span what the axis does (`motion_basis`).
     """
 
     rate_hz: float
     observer_hz: float
     damping: float
+    motion: Array
 
     def at(self, frequency_hz: Array) -> Array:
         """Return (k, n): every B_k at n frequencies, each with a mean of one over the whole band."""
@@ -74,7 +80,8 @@ class Shapes:
     def _at(self, frequency_hz: Array) -> Array:
         x = frequency_hz / self.observer_hz
         force = 1.0 / ((1.0 - x**2) ** 2 + (2.0 * self.damping * x) ** 2)
-        return np.stack([x**4 * force, np.ones_like(x), force])
+        forces = [force / (1.0 + (frequency_hz / corner) ** 2) for corner in CORNERS_HZ]
+        return np.stack([x**4 * force, np.ones_like(x), *forces])
 
 
 def variances(residual: Array, shapes: Shapes) -> Array:
@@ -94,8 +101,8 @@ def averaged_periodogram(residual: Array, rate_hz: float) -> tuple[Array, Array,
     """
     Return frequency (Hz), power and number of lines of bands of a periodogram.
 
-    The power of white noise is its variance at every frequency. Bands grow with frequency; the mean of
-    the residual is left out.
+    The power of white noise is its variance at every frequency. Bands grow with frequency; the
+    mean of the residual is left out.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / count
@@ -112,10 +119,13 @@ def averaged_periodogram(residual: Array, rate_hz: float) -> tuple[Array, Array,
 
 def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
     """
-    Return the prediction-error filter (1, -a_1, ..., -a_p) of noise with the spectrum of equation (1).
+    Return the prediction-error filter (1, -a_1, ..., -a_p) of noise with the spectrum of equation
+    (1).
 
-    By the Yule-Walker equations of its autocovariance.
+    By the Yule-Walker equations of its autocovariance. What goes with the motion is no noise.
     """
+    if len(residual) == len(shapes.motion):
+        residual = without_motion(residual, shapes.motion)
     each = shapes.on_grid / shapes.on_grid.mean(axis=1, keepdims=True)
     spectrum = variances(residual, shapes) @ each
     autocovariance = np.fft.irfft(spectrum)[: order + 1]

@@ -62,6 +62,7 @@ from waferbot_plant import current_sensors, encoders, motors, multibody, plant, 
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.effects.variant import Variant, built
+from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.prediction_error import Noise
 from waferbot_twin.noise_model.variance_components import Shapes
 from waferbot_twin.residuals.record import Array, Record, common_step
@@ -149,7 +150,12 @@ class PlantBlock:
                 floor,
                 self.order,
                 beside,
-                Shapes(rate_hz, float(self._observer_hz[place]), OBSERVER_DAMPING),
+                Shapes(
+                    rate_hz,
+                    float(self._observer_hz[place]),
+                    OBSERVER_DAMPING,
+                    motion_basis(self.measured(ENCODERS[place]), rate_hz),
+                ),
             )
             for floor, beside, rate_hz, place in zip(
                 floors, self._beside(), self.rates_hz, self._places, strict=True

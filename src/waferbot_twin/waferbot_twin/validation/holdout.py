@@ -3,8 +3,9 @@
 Does an extension win in logs that were not used for its fit? What loses there is withdrawn.
 
 Causes are fitted to the estimation data alone. The extended model loses where its RMS errors in the
-validation data, over those of the nominal model, have a mean square over the axes that is larger than one.
-Then the cause without which that is smallest is withdrawn, and what is left is asked again.
+validation data, over those of the nominal model, have a mean square over the axes that is larger
+than one. Then the cause without which that is smallest is withdrawn, and what is left is asked
+again.
 """
 
 from __future__ import annotations
@@ -72,10 +73,11 @@ def _ratio(
     nominal: Variant, causes: Sequence[Cause], validation: Sequence[Record]
 ) -> tuple[float, list[AxisGain]]:
     """
-    Return the mean square over the axes of RMS after over RMS before; infinite where it is unstable.
+    Return the mean square over the axes of RMS after over RMS before; infinite where it is
+    unstable.
 
-    What is evident from the readings is in both models: on the steps of a coarse encoder the machine
-    hunts and the true model does, but not in step, and an RMS error does not show it.
+    What is evident from the readings is in both models: on the steps of a coarse encoder the
+    machine hunts and the true model does, but not in step, and an RMS error does not show it.
     """
     evident = [cause for cause in causes if cause.effect.evident]
     try:

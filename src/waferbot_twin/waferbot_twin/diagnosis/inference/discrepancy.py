@@ -2,12 +2,13 @@
 """
 Model discrepancy: forces that nothing in the library explains, over speed or position of an axis.
 
-A real machine lacks something that no library has (M. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63, 2001; without
-a term for it intervals are wrong however many data there are: J. Brynjarsdottir, A. O'Hagan, Inverse Problems
-30, 2014). Here it is a piecewise linear function with a few points, each with the prior of a force; one
-candidate among the others, so that it has to explain the logs better than every physical cause, with all
-its parameters paid for. It is never given a physical name: what it describes is reported as unexplained, and
-while it is in the model what correlates with it gets wider intervals.
+A real machine lacks something that no library has (M. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63,
+2001; without a term for it intervals are wrong however many data there are: J. Brynjarsdottir, A.
+O'Hagan, Inverse Problems 30, 2014). Here it is a piecewise linear function with a few points, each
+with the prior of a force; one candidate among the others, so that it has to explain the logs
+better than every physical cause, with all its parameters paid for. It is never given a physical
+name: what it describes is reported as unexplained, and while it is in the model what correlates
+with it gets wider intervals.
 """
 
 from __future__ import annotations

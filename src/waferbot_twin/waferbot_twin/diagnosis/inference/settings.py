@@ -13,7 +13,8 @@ class Settings:
     """
     What decides which causes are named.
 
-    expected_causes    how many causes a machine has, before its logs are seen: a candidate has the prior
+    expected_causes    how many causes a machine has, before its logs are seen: a candidate has the
+    prior
                        probability expected_causes / number of candidates
     prior_scales       standard deviations of an effect's size, in its typical size; each equally
                        probable (a normal scale mixture: heavy tails, much mass near zero)
@@ -21,9 +22,11 @@ class Settings:
     credible_level     probability that a credible set holds at least
     most_causes        how many causes are looked for at most
     most_refits        how many candidates are refitted through the simulation in each step
-    linear_accuracy    share of the evidence of the best candidate, as screened linearly, from which on
+    linear_accuracy    share of the evidence of the best candidate, as screened linearly, from
+    which on
                        another is refitted
-    endogeneity_level  level of Hausman's test: below this probability the signature in the logs and the
+    endogeneity_level  level of Hausman's test: below this probability the signature in the logs
+    and the
                        one that the command causes disagree, and the latter counts
 
     Raises `UserError` for a value out of its range.

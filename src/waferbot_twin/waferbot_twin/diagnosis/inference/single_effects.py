@@ -7,24 +7,25 @@ The machine differs from its model by a sum of L effects,
     theta = theta_0 + w_1 + ... + w_L,    each w_l of one candidate gamma_l only,                     (1)
 
 gamma_l drawn from the candidates, w_l from the prior of that candidate's size (G. Wang, A. Sarkar,
-P. Carbonetto, M. Stephens, J. R. Stat. Soc. B 82, 2020: iterative Bayesian stepwise selection). With the
-other effects in the model, the posterior of one of them is
+P. Carbonetto, M. Stephens, J. R. Stat. Soc. B 82, 2020: iterative Bayesian stepwise selection).
+With the other effects in the model, the posterior of one of them is
 
     p(gamma_l = j) = pi_j BF_j / (1 + sum over k of pi_k BF_k),                                       (2)
 
-and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`), from fits through the
-simulation for every candidate that the linear problem puts within reach. Effects are added as long as one is
-more probable than none; then each is asked for anew beside all others, as often as one changes: an early
-choice is revised when the others are known. A candidate is a name (`effect:axis`); its trials share its prior.
+and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`), from fits through
+the simulation for every candidate that the linear problem puts within reach. Effects are added as
+long as one is more probable than none; then each is asked for anew beside all others, as often as
+one changes: an early choice is revised when the others are known. A candidate is a name
+(`effect:axis`); its trials share its prior.
 
-What no physical cause explains competes with them: forces over speed and position of an axis without a name
-(`discrepancy`).
+What no physical cause explains competes with them: forces over speed and position of an axis
+without a name (`discrepancy`).
 
-In a closed loop noise moves the axis, the controller answers, and what noise made of the current looks like
-a wrong amplifier. What the *command* makes of a cause in the noise-free log of the model knows nothing of the
-noise: an instrument z of its change d (L. Ljung, System Identification, 2nd ed., section 13.4). If the two
-agree on the size, Hausman's test of endogeneity (Econometrica 46, 1978), the logs count as they are, else
-the instrument alone.
+In a closed loop noise moves the axis, the controller answers, and what noise made of the current
+looks like a wrong amplifier. What the *command* makes of a cause in the noise-free log of the
+model knows nothing of the noise: an instrument z of its change d (L. Ljung, System Identification,
+2nd ed., section 13.4). If the two agree on the size, Hausman's test of endogeneity (Econometrica
+46, 1978), the logs count as they are, else the instrument alone.
 """
 
 from __future__ import annotations
@@ -53,7 +54,9 @@ PASSES = 3
 
 @dataclass(frozen=True)
 class Member:
-    """A candidate for one effect: fitted beside the others, ln BF, and its posterior probability."""
+    """A candidate for one effect: fitted beside the others, ln BF, and its posterior
+    probability.
+    """
 
     found: Hypothesis
     log_evidence: float
@@ -67,7 +70,9 @@ class Member:
 
 @dataclass(frozen=True)
 class SingleEffect:
-    """One effect of the sum: its candidates, the most probable first, and the probability of none."""
+    """One effect of the sum: its candidates, the most probable first, and the probability of
+    none.
+    """
 
     members: tuple[Member, ...]
     none: float
@@ -95,7 +100,9 @@ class SingleEffect:
 
 @dataclass(frozen=True)
 class Posterior:
-    """All effects with the hypothesis that holds the best of each, in the same order, and `nothing`."""
+    """All effects with the hypothesis that holds the best of each, in the same order, and
+    `nothing`.
+    """
 
     nothing: Hypothesis
     found: Hypothesis
@@ -104,7 +111,8 @@ class Posterior:
 
     def share(self, problem: Problem, place: int) -> float:
         """
-        Return the share of what the nominal model leaves over that goes with one of the causes alone.
+        Return the share of what the nominal model leaves over that goes with one of the causes
+        alone.
 
         Of the mean square on the cause's axis, in the block where that share is largest; 0 to 1.
         """
@@ -293,10 +301,11 @@ def instrumented_gain(
     """
     Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
 
-    With z its change in the noise-free log and d that in the logs, both white, b what `base` leaves over
-    and S the spectrum of what `more` does, the instrument's estimate of the cause's size, 1 if the two
-    agree, is z' b / z' d with the variance z' S z / (z' d)^2. None if they agree at the `level` of Hausman's
-    test, or if the logs do not tell what was commanded; else (z' b)^2 / (2 z' S z).
+    With z its change in the noise-free log and d that in the logs, both white, b what `base`
+    leaves over and S the spectrum of what `more` does, the instrument's estimate of the cause's
+    size, 1 if the two agree, is z' b / z' d with the variance z' S z / (z' d)^2. None if they
+    agree at the `level` of Hausman's test, or if the logs do not tell what was commanded; else (z'
+    b)^2 / (2 z' S z).
     """
     try:
         ideal = problem.ideal(more.causes)

@@ -4,17 +4,19 @@ What stays unexplained: where, how much, and what it goes with.
 
 Three kinds of evidence, one for each kind of block:
 
-- a force over speed or position of an axis that no physical cause explains as well (`discrepancy`), as one
+- a force over speed or position of an axis that no physical cause explains as well
+  (`discrepancy`), as one
   of the effects of the posterior;
 - in a block that follows from its inputs to the last bit, anything at all that is left over;
-- in every other channel, a residual that depends on what the command makes the machine do. The columns
-  q of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to the white
-  residual e by least squares, with the Bayes factor of Schwarz' approximation,
+- in every other channel, a residual that depends on what the command makes the machine do. The
+  columns
+  q of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to the
+  white residual e by least squares, with the Bayes factor of Schwarz' approximation,
 
       ln BF = G - k / 2 ln N,                                                                       (1)
 
-  G as in `estimation.evidence`, k columns, N samples, and the prior odds of any other candidate. Noise knows
-  nothing of the command: what goes with it is something that the model lacks.
+  G as in `estimation.evidence`, k columns, N samples, and the prior odds of any other candidate.
+  Noise knows nothing of the command: what goes with it is something that the model lacks.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ class Unexplained:
     """
     Something that no cause explains.
 
-    `share` is that of the mean square of what the nominal model leaves over in the block, on the axis;
+    `share` is that of the mean square of what the nominal model leaves over in the block, on the
+    axis;
     `with_what` says what it goes with, in words.
     """
 

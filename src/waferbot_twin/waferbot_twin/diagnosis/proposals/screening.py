@@ -3,12 +3,13 @@
 Screening: every effect of the library on every axis, fitted linearly to what is left over.
 
 The signature of an effect, what a little of it changes in the residuals, comes from the simulation
-itself, so a new effect needs no formula of its own here. The plant takes steps of the encoders' cycle
-for it (`Problem.quick`). Signatures are found once, with the causes that were known then; a later round
-finds anew only those that look most likely.
+itself, so a new effect needs no formula of its own here. The plant takes steps of the encoders'
+cycle for it (`Problem.quick`). Signatures are found once, with the causes that were known then; a
+later round finds anew only those that look most likely.
 
-An effect that changes the structure of a machine as soon as there is any of it, and only then grows in
-proportion, begins where there is a little: what that little changes is taken from the residuals first.
+An effect that changes the structure of a machine as soon as there is any of it, and only then
+grows in proportion, begins where there is a little: what that little changes is taken from the
+residuals first.
 
 An effect with a threshold changes nothing while there is little of it. It is tried on a
 `threshold_grid`, and its signature is the whole of what it changes there, as it is or fitted with a
@@ -53,10 +54,11 @@ CHUNK = 8
 @dataclass(frozen=True)
 class Change:
     """
-    What a candidate changes in the residuals: a `signature` by block, as in `stacked_least_squares`.
+    What a candidate changes in the residuals: a `signature` by block, as in
+    `stacked_least_squares`.
 
-    `there` is what the little of it that there is changes already: arrays (samples of all channels,),
-    by block; of most there is none.
+    `there` is what the little of it that there is changes already: arrays (samples of all
+    channels,), by block; of most there is none.
     """
 
     signature: Signature
@@ -68,8 +70,9 @@ class Screened:
     """
     A candidate with its linear fit.
 
-    `score` is ln BF against none of it; `value` the change of its parameters from where they are. `likelihood`
-    is ln BF in noise whose power is known: it ranks candidates of which all are beyond doubt.
+    `score` is ln BF against none of it; `value` the change of its parameters from where they are.
+    `likelihood` is ln BF in noise whose power is known: it ranks candidates of which all are
+    beyond doubt.
     """
 
     cause: Cause
@@ -180,7 +183,8 @@ def screen(
     workers: int = 1,
 ) -> list[Screened]:
     """
-    Return the evidence for every rival beside the causes of `base`, in a linear problem; best first.
+    Return the evidence for every rival beside the causes of `base`, in a linear problem; best
+    first.
 
     `scales` are those of the prior of sizes (`estimation.evidence`).
     """
@@ -240,10 +244,10 @@ class _Linear:
     """
     Least squares of white residuals on a candidate's signature beside that of the known causes.
 
-    `value` (k,) of the candidate's parameters, their `spread` (k, k) in noise of the power along what
-    the fit changes, known to be `power`; by how much the sum of squares falls, and by how much with the
-    candidate's signature as large as it is, in noise of the power `as_it_is`; `square` that of the whole
-    signature over its power.
+    `value` (k,) of the candidate's parameters, their `spread` (k, k) in noise of the power along
+    what the fit changes, known to be `power`; by how much the sum of squares falls, and by how
+    much with the candidate's signature as large as it is, in noise of the power `as_it_is`;
+    `square` that of the whole signature over its power.
     """
 
     value: Array
