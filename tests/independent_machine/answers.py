@@ -5,27 +5,33 @@ What waferbot's library calls each hidden effect, and with which values.
 `right` names do exactly what is hidden, in the machine at hand; `related` ones are a part of it, or
 cannot be told from it in some motions: naming one is neither right nor a false alarm.
 
-| hidden | values | right | related |
-|---|---|---|---|
-| coulomb | friction, at the axis | coulomb_friction; wrong_friction where the description has only dry friction of that kind; gearbox_friction of a geared axis where nothing gives | presliding |
-| motor_coulomb | friction, at the motor | gearbox_friction; where nothing gives, what is right for coulomb | coulomb_friction, presliding |
-| direction_dependent | forward, backward | direction_dependent_friction | coulomb_friction and constant_force: their sum while it moves |
-| stribeck | breakaway, speed | stribeck_friction | |
-| viscous | damping | viscous_friction; gearbox_damping where nothing gives | |
-| mass | amount, kg or kg m2 | wrong_inertia; wafer for mass that is added to a slide | force_constant, encoder_scale |
-| motor_constant | ratio | force_constant | wrong_inertia, encoder_scale |
-| constant_force | force | constant_force | |
-| imbalance | offset_x, offset_y, m | centre_of_gravity | |
-| cogging | cosine_N, sine_N at the motor | cogging | |
-| eccentricity | cosine, sine, period | encoder_eccentricity | |
-| motor_eccentricity | cosine, sine, period | motor_encoder_eccentricity | transmission_error |
-| encoder_delay | delay_s | encoder_delay; a skew that was found and taken out | motor_encoder_delay |
-| drive_delay | delay_s | as encoder_delay; command_delay where a controller is known | motor_encoder_delay |
-| backlash | gap, rad at the output | backlash | gearbox_compliance: that of the flanks |
-| compliance | compliance, rad/Nm at the output | gearbox_compliance | |
+    hidden (values): right names; related names
 
-Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may not
-hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
+    coulomb (friction at the axis): coulomb_friction [1, 2]; presliding
+    motor_coulomb (friction at the motor): gearbox_friction [3]; coulomb_friction, presliding
+    direction_dependent (forward, backward): direction_dependent_friction; coulomb_friction and
+        constant_force, whose sum it is as long as it moves
+    stribeck (breakaway, speed): stribeck_friction
+    viscous (damping): viscous_friction [2]
+    mass (amount, kg or kg m2): wrong_inertia, of mass added to a slide wafer; force_constant,
+        encoder_scale
+    motor_constant (ratio): force_constant; wrong_inertia, encoder_scale
+    constant_force (force): constant_force
+    imbalance (offset_x, offset_y, m): centre_of_gravity
+    cogging (cosine_N, sine_N at the motor): cogging
+    eccentricity (cosine, sine, period): encoder_eccentricity
+    motor_eccentricity (cosine, sine, period): motor_encoder_eccentricity; transmission_error
+    encoder_delay (delay_s): encoder_delay, a skew that was found and taken out; motor_encoder_delay
+    drive_delay (delay_s): the same, and command_delay; motor_encoder_delay
+    backlash (gap, rad at the output): backlash; gearbox_compliance, that of the flanks
+    compliance (rad/Nm at the output): gearbox_compliance
+
+1. Where the description has dry friction, wrong_friction, too. 2. Of a gear that does not give, what is
+before it acts just as well: gearbox_friction, gearbox_damping. 3. There, what is right for coulomb is
+right as well.
+
+Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may
+not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
 """
 
 from __future__ import annotations
@@ -46,8 +52,6 @@ MOST_TICKS_HZ = 18000.0
 How waferbot chooses the phase cycle of a machine without a controller, by the log's rate: a whole
 multiple of that, the unit of its delays.
 """
-
-TURN_KINDS = ('cosine', 'sine')
 
 
 @dataclass(frozen=True)
@@ -155,6 +159,4 @@ def scaled(kind: str, values: Mapping[str, float], factor: float) -> dict[str, f
     """Return the values of an effect that is larger by a factor."""
     if kind == 'motor_constant':
         return {'ratio': 1.0 + factor * (values['ratio'] - 1.0)}
-    return {
-        name: value if name in SHAPES else factor * value for name, value in values.items()
-    }
+    return {name: value if name in SHAPES else factor * value for name, value in values.items()}

@@ -99,8 +99,10 @@ def _draw(seed: int, number: int, random: np.random.Generator) -> Case | None:
     every = 2 if drive != 'current_command' and tick_hz == 2000.0 and random.random() < 0.3 else 1
     hidden = _hidden(machine, reach, drive, classes, random)
     noise = _noise(machine, random)
-    tuning = _tuning(machine, hidden, tick_hz, random)
-    setup = Setup(machine, tuning, noise, bool(random.random() < 0.5), tick_hz, every, drive, reach)
+    tuning = _tuning(machine, hidden, drive, tick_hz, random)
+    setup = Setup(
+        machine, tuning, noise, bool(random.random() < 0.5), tick_hz, every, drive, reach
+    )
     kinds = random.choice(['trapezoids', 'random moves', 'sines', 'steps'], 2, False)
     if kinds[0] == 'steps':  # hardly moves: steps are left to validation
         kinds = kinds[::-1]
@@ -154,7 +156,7 @@ def _machine(random: np.random.Generator) -> tuple[Machine, Reach]:
     amperes = _log_uniform(random, 1.0, 10.0)
     known = random.random() < 0.35
     speed = float(random.uniform(0.4, 0.8)) * math.sqrt(acceleration * stroke)
-    flanks = (2.0 * math.pi * random.uniform(120.0, 250.0)) ** 2 * load
+    stiffness = (2.0 * math.pi * random.uniform(50.0, 150.0)) ** 2 * load
     machine = Machine(
         kind=kind,
         upright=upright,
@@ -165,7 +167,7 @@ def _machine(random: np.random.Generator) -> tuple[Machine, Reach]:
         ratio=ratio,
         constant=_rounded(rated / amperes / ratio),
         cycle=cycle,
-        gear_stiffness=_rounded(flanks) if kind == 'geared' else 0.0,
+        gear_stiffness=_rounded(stiffness) if kind == 'geared' else 0.0,
         resolution=resolution,
         motor_resolution=(
             2.0 * math.pi / float(random.choice([8192, 65536, 131072]))
@@ -199,10 +201,22 @@ def _noise(machine: Machine, random: np.random.Generator) -> Noise:
 
 
 def _tuning(
-    machine: Machine, hidden: Hidden, tick_hz: float, random: np.random.Generator
+    machine: Machine,
+    hidden: Hidden,
+    drive: str,
+    tick_hz: float,
+    random: np.random.Generator,
 ) -> Tuning:
-    """Return a loop as somebody tunes it who sees the real machine ring, but not why."""
-    lag_s = random.uniform(5e-5, 3e-4)
+    """
+    Return a loop as somebody tunes it who sees the real machine ring, but not why.
+
+    A lag of the current would be a delay that is hidden where the log has the command, so there is none
+    then. A current that is sampled as the next command goes out is ahead of one that goes straight to
+    the next sample by half a tick less the lag: never late, so that no delay is hidden in it.
+    """
+    lag_s = random.uniform(0.1, 0.5) / tick_hz
+    if drive == 'current_command':
+        lag_s = 0.0
     late_s = 1.5 / tick_hz + lag_s
     for kind in ('encoder_delay', 'drive_delay'):
         late_s += hidden.get(kind, {}).get('delay_s', 0.0)
@@ -227,7 +241,7 @@ def _tuning(
 def _hidden(
     machine: Machine, reach: Reach, drive: str, classes: int, random: np.random.Generator
 ) -> dict[str, dict[str, float]]:
-    """Return what is hidden: so many classes of effects, one of each class (Stribeck's with Coulomb's)."""
+    """Return what is hidden: one effect of each of so many classes; Stribeck's comes with Coulomb's."""
     geared = machine.kind == 'geared'
     of_class = {
         'dry': ['coulomb', 'direction_dependent', 'stribeck'],
@@ -274,7 +288,10 @@ def _values(
     if kind == 'stribeck':
         return {
             'breakaway': rated * _log_uniform(random, 0.02, 0.1),
-            'speed': reach.speed * _log_uniform(random, 0.01, 0.1),
+            'speed': min(
+                _log_uniform(random, 2e-3, 2e-2) * (1.0 if machine.linear else 10.0),
+                0.05 * reach.speed,
+            ),
         }
     if kind == 'viscous':
         return {'damping': rated * _log_uniform(random, 0.02, 0.15) / reach.speed}
@@ -292,8 +309,10 @@ def _values(
     if kind == 'cogging':
         return _cogging_values(machine, random)
     if kind == 'eccentricity':
-        amplitude = _log_uniform(random, 2e-6, 2e-5) if machine.linear else _log_uniform(
-            random, 5e-5, 5e-4
+        amplitude = (
+            _log_uniform(random, 2e-6, 2e-5)
+            if machine.linear
+            else _log_uniform(random, 5e-5, 5e-4)
         )
         period = turn if not machine.linear else float(random.choice([0.01, 0.02, 0.04]))
         amplitude = max(amplitude, 4.0 * machine.resolution)
@@ -306,8 +325,7 @@ def _values(
     if kind == 'backlash':
         return {'gap': max(_log_uniform(random, 3e-4, 5e-3), 6.0 * machine.resolution)}
     assert kind == 'compliance'
-    held = 2.0 * np.pi * _log_uniform(random, 12.0, 60.0)
-    return {'compliance': 1.0 / (machine.load * held**2)}
+    return {'compliance': _log_uniform(random, 0.7, 6.0) / machine.gear_stiffness}
 
 
 def _cogging_values(machine: Machine, random: np.random.Generator) -> dict[str, float]:

@@ -20,7 +20,7 @@ MACHINE, MAP = 'machine.yaml', 'map.yaml'
 def description(machine: Machine) -> dict:
     """Return the description of a machine: what its owner knows, in waferbot's words."""
     linear = machine.linear
-    unit, turn = ('m', 's_m') if linear else ('nm', 's_rad')
+    turn = 's_m' if linear else 's_rad'
     coordinate = 'travel' if linear else 'angle'
     direction = [0, 0, 1]
     if linear:
@@ -129,9 +129,7 @@ def table(case: Case, log: Log) -> tuple[dict[str, np.ndarray], dict]:
 
     position('Actual position', 'position', log.position, machine.resolution)
     if machine.motor_resolution:
-        position(
-            'Motor position', 'motor_position', log.motor_position, machine.motor_resolution
-        )
+        position('Motor position', 'motor_position', log.motor_position, machine.motor_resolution)
     add('Commanded position', 'commanded_position', factor * log.commanded, unit)
     kind = case.setup.drive
     if kind == 'force':

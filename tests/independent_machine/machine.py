@@ -32,7 +32,7 @@ class Machine:
     about the vertical, a linear one moves along it; `centre` (m) is the centre of gravity off the axis
     at zero, along x and y, and gravity is along -y. `motor_inertia` is the rotor's own. `constant` is
     N/A or Nm/A (peak of the sine) at the motor, `cycle` electrical cycles per m or pole pairs.
-    `gear_stiffness` (Nm/rad, at the output) is from the gear's data sheet. Friction is what is known of it.
+    `gear_stiffness` (Nm/rad, at the output) is from the data sheet. Friction is what is known of it.
     """
 
     kind: str
@@ -90,8 +90,11 @@ class Machine:
         return self.upright if self.linear else not self.upright
 
 
-GEAR_LOSS = 0.15
-"""Damping ratio of the mode of load and motor against one another, on a gear that gives."""
+FLANKS_STIFFER = 20.0
+"""By how much flanks with play between them are stiffer than the whole gear by its data sheet."""
+
+FLANK_LOSS = 0.3
+"""Damping ratio of the mode of load and motor against one another, on flanks in contact."""
 
 SOFT_LOSS = 0.03
 """The same of a coupling that is softer than it should be."""
@@ -123,11 +126,11 @@ def physics_of(machine: Machine, hidden: Hidden) -> Physics:
     backward += of.get('direction_dependent', {}).get('backward', 0.0)
     stribeck = of.get('stribeck', {})
     elastic = machine.kind == 'geared' and ('backlash' in of or 'compliance' in of)
-    stiffness = machine.gear_stiffness
+    stiffness = FLANKS_STIFFER * machine.gear_stiffness
     if 'compliance' in of:
         stiffness = 1.0 / of['compliance']['compliance']
     reduced = machine.motor * load / (machine.motor + load) if machine.motor else load
-    loss = SOFT_LOSS if 'compliance' in of else GEAR_LOSS
+    loss = SOFT_LOSS if 'compliance' in of else FLANK_LOSS
     damping = 2.0 * loss * math.sqrt(stiffness * reduced)
     return Physics(
         motor_mass=machine.motor,

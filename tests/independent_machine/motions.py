@@ -63,7 +63,11 @@ def _moves(
 def trapezoids(reach: Reach, random: np.random.Generator, ticks: int, tick_s: float) -> Array:
     """Return moves there and back over the whole stroke."""
     return _moves(
-        reach, random, ticks, tick_s, lambda place: (0.5 if place % 2 == 0 else -0.5) * reach.stroke
+        reach,
+        random,
+        ticks,
+        tick_s,
+        lambda place: (0.5 if place % 2 == 0 else -0.5) * reach.stroke,
     )
 
 

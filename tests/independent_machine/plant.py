@@ -15,7 +15,7 @@ ratio of its gear, its torque times that, its inertia times the square.
 
 Without elasticity q1 = q2 and everything acts on M1 + M2.
 
-At rest dry friction holds whatever is within its limits, and the mass stands exactly. So motion is smooth
+At rest dry friction holds what is within its limits, and the mass stands exactly. So motion is smooth
 between events: a speed comes to zero, a force breaks away, a flank is touched or left. Each smooth piece
 is integrated by the classical Runge-Kutta method (order 4); a step in which the set of what sticks and
 touches would change is divided at that event, found by bisection to 2^-40 of the step.
@@ -66,7 +66,7 @@ class Physics(NamedTuple):
 @numba.njit(cache=True)
 def dry_friction(physics, sliding, speed):
     """Return the dry friction against the load's sliding direction, both masses' if they are one."""
-    if sliding == FREE or sliding == STUCK:
+    if sliding in (FREE, STUCK):
         return 0.0
     level = physics.coulomb_forward if sliding > 0 else physics.coulomb_backward
     if physics.breakaway > 0.0:
@@ -111,7 +111,9 @@ def accelerations(physics, drive, noise, slide1, slide2, contact, q1, v1, q2, v2
     if not physics.elastic:
         if slide2 == STUCK:
             return 0.0, 0.0
-        both = (load - dry_friction(physics, slide2, v2)) / (physics.motor_mass + physics.load_mass)
+        both = (load - dry_friction(physics, slide2, v2)) / (
+            physics.motor_mass + physics.load_mass
+        )
         return both, both
     first = second = 0.0
     if slide1 != STUCK:
@@ -299,7 +301,7 @@ class Encoder(NamedTuple):
     """
     An encoder: counts = floor or round of (x(t - delay) + error + noise) / resolution.
 
-    `x` is `ratio` times the coordinate, the error cosine cos(2 pi x / period) + sine sin(2 pi x / period);
+    `x` is `ratio` times the coordinate, the error cosine cos k x + sine sin k x, k = 2 pi / period;
     the delay is in steps of the integrator, the noise in counts.
     """
 

@@ -29,7 +29,7 @@ NOISE_PARTS = 10
 
 @dataclass(frozen=True)
 class Noise:
-    """Force noise on the load (rms, corner in Hz), of the encoders (counts rms), of the current (A rms)."""
+    """Noise: force on the load (rms, corner in Hz), encoders (counts rms), current (A rms)."""
 
     force: float
     corner_hz: float
@@ -100,9 +100,7 @@ def simulate(setup: Setup, hidden: Hidden, motion: Motion, noise_seed: tuple[int
     ticks = len(reference)
     random = np.random.default_rng(noise_seed)
     load, motor = encoders_of(setup.machine, hidden, setup.rounds, step_s)
-    loop = loop_of(
-        setup.machine, hidden, setup.tuning, float(reference[0, 0]), tick_s, step_s
-    )
+    loop = loop_of(setup.machine, hidden, setup.tuning, float(reference[0, 0]), tick_s, step_s)
     counts = random.standard_normal((ticks, 2)) * [setup.noise.counts, setup.noise.motor_counts]
     readings, commands, currents, _, _, forced = run_loop(
         physics_of(setup.machine, hidden),
