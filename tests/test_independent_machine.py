@@ -8,6 +8,7 @@ Truth are solutions on paper, energy, scipy's solve_ivp with events, and MuJoCo.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from independent_machine.files import MACHINE, MAP, VALIDATION, description, wri
 from independent_machine.machine import physics_of
 from independent_machine.motions import MOTIONS, Reach
 from independent_machine.plant import Encoder, Loop, Physics, motion_under, run_loop
+from independent_machine.simulation import Motion, Noise, averaged, simulate
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
@@ -282,6 +284,11 @@ def test_a_known_machine_follows_and_its_limit_holds(cascade):
     assert np.abs(limited).max() <= 0.5 * np.abs(commands).max()
 
 
+def test_a_slow_drive_averages_what_came_since_its_last_sample():
+    np.testing.assert_allclose(averaged(np.arange(5.0), 2)[1:], [0.5, 1.5, 2.5, 3.5])
+    np.testing.assert_array_equal(averaged(np.arange(5.0), 1), np.arange(5.0))
+
+
 @pytest.mark.parametrize('kind', list(MOTIONS))
 def test_motions_stay_in_reach_and_are_what_their_rates_say(kind):
     reach = Reach(0.2, 0.3, 0.4, 2.0)
@@ -312,6 +319,29 @@ def test_a_case_is_the_same_to_the_bit_and_its_effects_matter(drawn):
         np.testing.assert_array_equal(log.drive, other.drive)
         assert log.saturated < 0.02
     assert all(effect.size >= cases.LEAST_SIZE for effect in case.hidden)
+
+
+@pytest.mark.parametrize(
+    ('drive', 'every'), [('current', 1), ('current', 2), ('force', 2), ('current_command', 1)]
+)
+@pytest.mark.parametrize('kind', ['random moves', 'steps'])
+def test_logs_balance_momentum_without_a_simulation(drawn, drive, every, kind):
+    """Force times a window, summed, is mass times position times the second derivative of the window."""
+    setup = drawn[0].setup
+    machine = replace(setup.machine, coulomb=0.0, viscous=0.0)
+    quiet = Noise(0.0, 10.0, 0.0, 0.0, 0.0)
+    setup = replace(setup, machine=machine, drive=drive, every=every, noise=quiet)
+    log = simulate(setup, {}, Motion(kind, 4.0, (3,)), (4,))
+    scale = 1.0 if drive == 'force' else machine.axis_constant
+    step_s = log.time_s[1] - log.time_s[0]
+    width = round(0.15 / step_s)
+    x = np.arange(width + 1) / width
+    window = (x * (1.0 - x)) ** 4
+    second = np.gradient(np.gradient(window, step_s), step_s)
+    force = np.convolve(scale * log.drive, window, 'valid')
+    moved = machine.total * np.convolve(log.position, second, 'valid')
+    assert force @ moved / (force @ force) == pytest.approx(1.0, abs=0.01)
+    assert np.std(moved - force) < 0.06 * np.std(force)
 
 
 def machines(count=40):

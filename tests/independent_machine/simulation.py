@@ -90,8 +90,10 @@ def simulate(setup: Setup, hidden: Hidden, motion: Motion, noise_seed: tuple[int
     """
     Return the log of a run; the same to the bit for the same arguments.
 
-    The integrator's steps are at most 10 us and a whole part of a tick. `saturated` is the share of
-    commands at the limit, `restless` the RMS following error at the end of the standstill over stroke.
+    The integrator's steps are at most 10 us and a whole part of a tick. A drive that logs more slowly
+    than it controls averages its current over the ticks since the last sample, so that no impulse of it
+    is lost. `saturated` is the share of commands at the limit, `restless` the RMS following error at the
+    end of the standstill over stroke.
     """
     tick_s = 1.0 / setup.tick_hz
     steps = math.ceil(tick_s / LONGEST_STEP_S)
@@ -115,7 +117,8 @@ def simulate(setup: Setup, hidden: Hidden, motion: Motion, noise_seed: tuple[int
     )
     begin = round(PREROLL_S / tick_s)
     rows = slice(begin, None, setup.every)
-    sensed = currents[rows] + setup.noise.current * random.standard_normal(len(currents[rows]))
+    measured = currents + setup.noise.current * random.standard_normal(ticks)
+    sensed = averaged(measured, setup.every)[rows]
     drive = {
         'current': sensed,
         'force': setup.machine.axis_constant * sensed,
@@ -133,6 +136,13 @@ def simulate(setup: Setup, hidden: Hidden, motion: Motion, noise_seed: tuple[int
         restless=float(np.std(still) / setup.reach.stroke),
         forced_steps=int(forced),
     )
+
+
+def averaged(values: np.ndarray, last: int) -> np.ndarray:
+    """Return at every sample the mean of as many as `last`, this one included."""
+    from scipy.ndimage import uniform_filter1d
+
+    return uniform_filter1d(values, last, mode='nearest', origin=(last - 1) // 2)
 
 
 def coloured(noise: Noise, ticks: int, tick_s: float, random: np.random.Generator) -> np.ndarray:
