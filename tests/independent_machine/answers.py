@@ -31,7 +31,8 @@ before it acts just as well: gearbox_friction, gearbox_damping. 3. There, what i
 right as well.
 
 Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may
-not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
+not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart. Frictions
+that the description has are then off by a factor, too: wrong_friction and viscous_friction are related.
 """
 
 from __future__ import annotations
@@ -108,7 +109,7 @@ def answers(
         right = (Answer('wrong_inertia', {parameter: amount}),)
         if machine.linear and amount > 0.0:
             right += (Answer('wafer', {'mass': amount}),)
-        return Answers(right, frozenset({'force_constant', 'encoder_scale'}))
+        return Answers(right, _in_other_measure(machine, 'force_constant'))
     if kind in ('encoder_delay', 'drive_delay'):
         cycles = values['delay_s'] * phase_hz(rate_hz)
         right = (
@@ -124,7 +125,7 @@ def answers(
             {'coulomb_friction', 'constant_force'},
         ),
         'stribeck': ('stribeck_friction', set()),
-        'motor_constant': ('force_constant', {'wrong_inertia', 'encoder_scale'}),
+        'motor_constant': ('force_constant', _in_other_measure(machine, 'wrong_inertia')),
         'constant_force': ('constant_force', set()),
         'imbalance': ('centre_of_gravity', set()),
         'cogging': ('cogging', set()),
@@ -134,6 +135,18 @@ def answers(
         'compliance': ('gearbox_compliance', set()),
     }[kind]
     return Answers((Answer(name, dict(values)),), frozenset(related))
+
+
+def _in_other_measure(machine: Machine, other: str) -> frozenset[str]:
+    """
+    Return what stands together for a wrong mass or motor constant: all else in another measure of force.
+
+    r k I = M q'' + R is k I = M q'' / r + R / r: with `other` the known frictions are off by a factor.
+    """
+    found = {other, 'encoder_scale'}
+    found |= {'wrong_friction'} if machine.coulomb > 0.0 else set()
+    found |= {'viscous_friction'} if machine.viscous > 0.0 else set()
+    return frozenset(found)
 
 
 def _dry(machine: Machine, friction: float, hidden: Mapping, stiff_gear: bool) -> Answers:
