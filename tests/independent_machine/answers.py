@@ -31,8 +31,9 @@ before it acts just as well: gearbox_friction, gearbox_damping. 3. There, what i
 right as well.
 
 Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may
-not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart. Frictions
-that the description has are then off by a factor, too: wrong_friction and viscous_friction are related.
+not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
+Frictions that the description has are then off by a factor, too: wrong_friction and viscous_friction are
+related.
 """
 
 from __future__ import annotations
