@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from independent_machine.answers import SKEW, Answer, Answers
 from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent / 'bench'))
 
-from diagnosis_matrix import scoring, summary, trial
+from diagnosis_matrix import other_simulator, scoring, summary, trial
 from diagnosis_matrix.cases import GROUPS, Case, cases, draw, draw_direction, pairs
 from diagnosis_matrix.motions import DURATION_S, draw_experiment
 from diagnosis_matrix.sizing import (
@@ -503,3 +504,100 @@ def test_a_gain_is_compared_on_the_logs_that_judged():
     for names, records in ((['log_1'], judging), (['log_0'], finding)):
         report = {'gain': {'validation': names}}
         assert trial._judged_by(report, finding, judging) is records
+
+
+# Machines of another simulator
+
+
+def other_report(*causes, verdict='explained', notes=()):
+    return {
+        'verdict': verdict,
+        'notes': list(notes),
+        'runtime_s': 1.0,
+        'causes': [
+            {
+                'effect': effect,
+                'axis': 'x_rotate',
+                'confidence': 0.8,
+                'cannot_tell_from': [f'{name}:x_rotate' for name in alike],
+                'parameters': {
+                    name: {'value': value, 'low95': low, 'high95': high}
+                    for name, (value, low, high) in parameters.items()
+                },
+            }
+            for effect, alike, parameters in causes
+        ],
+    }
+
+
+def other_score(expected, *causes, **more):
+    return other_simulator.score(
+        expected, other_simulator.read_findings(other_report(*causes, **more))
+    )
+
+
+MASS = Answers((Answer('wrong_inertia', {'inertia': 0.2}),), frozenset({'force_constant'}))
+DRAG = Answers((Answer('viscous_friction', {'damping': 1.0}),))
+LATE = Answers((Answer('encoder_delay', {'delay': 3.0}), Answer(SKEW, {'late_s': -1e-3})))
+
+
+def test_machines_of_another_simulator_are_scored_by_name_set_and_note():
+    inertia = ('wrong_inertia', (), {'inertia': (0.21, 0.19, 0.23)})
+    drag = ('viscous_friction', (), {'damping': (1.3, 1.2, 1.4)})
+    both = other_score({'mass': MASS, 'viscous': DRAG}, inertia, drag)
+    assert both['outcome'] == 'all'
+    assert [error['covered'] for error in both['other_errors']] == [True, False]
+    in_set = other_score(
+        {'mass': MASS, 'viscous': DRAG}, ('force_constant', ('wrong_inertia',), {}), drag
+    )
+    assert in_set['became'] == {'mass': 'in the set', 'viscous': 'named'}
+    # Forces in another measure: their intervals say nothing.
+    assert in_set['other_errors'] == []
+    related = other_score({'mass': MASS}, ('force_constant', (), {}))
+    assert (related['outcome'], related['false']) == ('none', [])
+    false = other_score({'mass': MASS}, inertia, ('cogging', ('torque_ripple',), {}))
+    assert false['outcome'] == 'all and a false one'
+    assert [item['name'] for item in false['false']] == ['cogging']
+    moved = 'log: x_rotate.current against its position: -1.02 ± 0.10 ms late, moved by that'
+    noted = other_score({'encoder_delay': LATE}, notes=[moved], verdict='consistent')
+    assert noted['became'] == {'encoder_delay': 'noted'}
+    assert noted['other_errors'][0]['covered']
+    here = moved.replace('moved by that', 'not significant')
+    assert other_score({'encoder_delay': LATE}, notes=[here])['outcome'] == 'none'
+
+
+def test_a_machine_of_another_simulator_with_nothing_hidden_is_to_be_consistent():
+    assert other_score({}, verdict='consistent')['outcome'] == 'right'
+    assert other_score({}, verdict='unexplained')['outcome'] == 'unexplained'
+    assert other_score({}, ('cogging', (), {}))['outcome'] == 'false alarm'
+
+
+def test_results_of_another_simulator_are_summed_up():
+    def line(number, hidden, scored):
+        case = Case('other-simulator', (), number, 1)
+        assert trial.model_of(case, 'rigid') == other_simulator.MODEL
+        assert trial.through(case, False) == 'files'
+        return {
+            'key': case.key, 'group': case.group, 'seed': 1, 'number': number,
+            'model': other_simulator.MODEL, 'hidden': hidden, 'reported': [], **scored,
+        }  # fmt: skip
+
+    drag = ('viscous_friction', (), {'damping': (1.3, 1.2, 1.4)})
+    lines = [
+        line(0, ['viscous'], other_score({'viscous': DRAG}, drag)),
+        line(1, ['viscous'], other_score({'viscous': DRAG}, ('cogging', (), {}))),
+        line(2, [], other_score({}, verdict='consistent')),
+        line(3, [], {'outcome': trial.CRASHED, 'reason': ''}),
+    ]
+    found = summary.summarise(lines)
+    other = found['other_simulator']
+    assert other['effects'] == {'viscous': {'named': 1, 'missed': 1}}
+    assert (other['named']['hits'], other['named']['cases']) == (1, 2)
+    assert other['false_names'] == {'cogging': 1}
+    assert (other['empty_right']['hits'], other['empty_right']['cases']) == (1, 1)
+    assert (other['coverage']['hits'], other['coverage']['cases']) == (0, 1)
+    assert other['calibration'][1]['true']['cases'] == 2
+    assert other['calibration'][1]['true']['hits'] == 1
+    assert other['crashed'] == 1
+    assert found['groups']['other-simulator']['right']['hits'] == 2
+    summary.print_tables(found)

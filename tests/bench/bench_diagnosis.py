@@ -3,7 +3,8 @@
 The diagnosis in blind tests: is the hidden cause named, how small may it be, what is named wrongly?
 
 Effects of the whole library, on every axis, at given sizes, in logs with motions and noise that are
-drawn; nothing hidden; two effects at once; effects that the diagnosis does not know. Every case is
+drawn; nothing hidden; two effects at once; effects that the diagnosis does not know; machines of another
+simulator, in files as a user has them. Every case is
 one line of bench-results/diagnosis.jsonl, written as soon as it is done: what is there is not done
 again, so the bench can be stopped and goes on where it was. At the end tables of all lines of this seed,
 the same as diagnosis.json and a picture, diagnosis.png. A line says with which commit it was found.
@@ -33,7 +34,7 @@ from typing import Any
 import waferbot_lockstep.compiled  # noqa: F401  isort: skip
 
 import joblib
-from diagnosis_matrix import picture, summary, trial
+from diagnosis_matrix import other_simulator, picture, summary, trial
 from diagnosis_matrix.cases import GROUPS, Case, cases, pairs
 
 from waferbot_lockstep.errors import UserError
@@ -97,7 +98,12 @@ def _bench(options: argparse.Namespace) -> None:
     left = [
         case
         for case in wanted
-        if (case.key, options.model, _through(options.subprocess)) not in done
+        if (
+            case.key,
+            trial.model_of(case, options.model),
+            trial.through(case, options.subprocess),
+        )
+        not in done
     ]
     print(f'{len(wanted)} cases, {len(left)} to do; results: {results}')
     with cluster(options.cluster, PACKAGE) as cores, results.open('a', encoding='utf-8') as file:
@@ -114,7 +120,9 @@ def _bench(options: argparse.Namespace) -> None:
                 flush=True,
             )
     of_seed = [
-        line for line in lines if line['seed'] == options.seed and line['model'] == options.model
+        line
+        for line in lines
+        if line['seed'] == options.seed and line['model'] in (options.model, other_simulator.MODEL)
     ]
     found = summary.summarise(of_seed)
     summary.print_tables(found)
@@ -163,10 +171,6 @@ def read_lines(path: Path) -> list[dict[str, Any]]:
 
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(',') if name.strip()]
-
-
-def _through(files: bool) -> str:
-    return 'files' if files else 'memory'
 
 
 def _key(line: dict[str, Any]) -> tuple[str, str, str]:

@@ -22,6 +22,8 @@ from waferbot_twin.effects.effect import Parameter, Values
 from waferbot_twin.effects.variant import Variant
 
 SINGLE, NOTHING, TWO, UNKNOWN = 'single', 'nothing', 'two', 'unknown'
+OTHER = 'other'
+"""Machines of another simulator, which draws them itself: `diagnosis_matrix.other_simulator`."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ GROUPS = {
         Group('nothing', NOTHING, 0.0, 304),
         Group('two', TWO, 5.0, 152),
         Group('unknown', UNKNOWN, 10.0, 152),
+        Group('other-simulator', OTHER, None, 200),
     )
 }
 
@@ -140,7 +143,7 @@ def pairs(variant: Variant, effects: Sequence[str] = ()) -> list[str]:
 def cases(group: Group, names: Sequence[str], seed: int) -> Iterator[Case]:
     """Return the cases of a group, without end: all effects once in an order drawn, then again."""
     for number in itertools.count():
-        if group.kind == NOTHING:
+        if group.kind in (NOTHING, OTHER):
             yield Case(group.name, (), number, seed)
             continue
         random = np.random.default_rng([seed, zlib.crc32(group.kind.encode()), number])

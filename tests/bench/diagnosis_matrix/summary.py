@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.stats import binomtest
 
-from diagnosis_matrix.cases import GROUPS, NOTHING, SINGLE, TWO, UNKNOWN
-from diagnosis_matrix.trial import LEFT_OUT
+from diagnosis_matrix.cases import GROUPS, NOTHING, OTHER, SINGLE, TWO, UNKNOWN
+from diagnosis_matrix.trial import CRASHED, LEFT_OUT
 
 Line = dict[str, Any]
 
@@ -23,6 +23,7 @@ NAMED = {
     NOTHING: ('right',),
     TWO: ('both', 'both and a false one'),
     UNKNOWN: ('right',),
+    OTHER: ('right', 'all'),
 }
 """Outcomes that count as right, by kind."""
 
@@ -104,8 +105,56 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
             lambda error: error['covered'],
         ),
         'gain_share': _gain_shares(of['single-10']),
+        'other_simulator': other_simulator(of['other-simulator']),
         'runtime_s': _runtimes([line['runtime_s'] for line in judged if 'runtime_s' in line]),
         'commits': dict(Counter(line.get('commit') or 'not known' for line in lines)),
+    }
+
+
+BINS = (0.0, 0.5, 0.9, 0.99, 1.0)
+"""Edges of the probabilities of names, to compare with how often these are true."""
+
+
+def other_simulator(lines: Sequence[Line]) -> dict[str, Any]:
+    """
+    Return what became of every kind of hidden effect, false names, coverage, and calibration.
+
+    A name with a probability counts as true if it, or one of its set, is right.
+    """
+    ended = [line for line in lines if line['outcome'] != CRASHED]
+    became: dict[str, Counter[str]] = {}
+    for line in ended:
+        for kind, value in line['became'].items():
+            became.setdefault(kind, Counter())[value] += 1
+    names = [name for line in ended for name in line['names'] if not name['related']]
+    empty = [line for line in ended if not line['hidden']]
+    effects = [value for line in ended for value in line['became'].values()]
+    errors = [error for line in ended for error in line['other_errors']]
+    return {
+        'effects': {kind: dict(counts) for kind, counts in sorted(became.items())},
+        'named': rate(sum(value in ('named', 'noted') for value in effects), len(effects)),
+        'named_or_in_set': rate(sum(value != 'missed' for value in effects), len(effects)),
+        'with_false_names': share(ended, lambda line: bool(line['false'])),
+        'empty_right': share(empty, is_named),
+        'false_names': dict(
+            Counter(item['name'] for line in ended for item in line['false']).most_common()
+        ),
+        'coverage': share(
+            [error for error in errors if error['covered'] is not None],
+            lambda error: error['covered'],
+        ),
+        'calibration': [
+            {
+                'from': low,
+                'to': high,
+                'true': share(
+                    [name for name in names if low < name['probability'] <= high],
+                    lambda name: name['in_set'],
+                ),
+            }
+            for low, high in itertools.pairwise(BINS)
+        ],
+        'crashed': len(lines) - len(ended),
     }
 
 
@@ -293,6 +342,7 @@ def print_tables(found: dict[str, Any]) -> None:
         )  # fmt: skip
     if found['parameters']:
         console.print(table)
+    _print_other_simulator(console, found['other_simulator'])
     table = _table('Aims', 'what', 'found', 'cases', 'aim', '')
     for what, value, sense, limit, count in aims(found):
         reached = is_reached(value, sense, limit)
@@ -309,6 +359,31 @@ def print_tables(found: dict[str, Any]) -> None:
     if found['left_out']:
         names = ', '.join(f'{name} ({count})' for name, count in found['left_out'].items())
         console.print(f'left out, because the size is out of reach on that motion: {names}')
+
+
+def _print_other_simulator(console: Console, found: dict[str, Any]) -> None:
+    if not found['named']['cases'] and not found['empty_right']['cases']:
+        return
+    table = _table('Machines of another simulator', 'what', 'cases', '[%] (95 %)')
+    rows = {
+        'effects named': found['named'],
+        'named or in the set': found['named_or_in_set'],
+        'cases with a false name': found['with_false_names'],
+        'nothing hidden, nothing found': found['empty_right'],
+        '95 % intervals that cover': found['coverage'],
+    }
+    for row in found['calibration']:
+        rows[f'true, of names with {row["from"]:g} to {row["to"]:g}'] = row['true']
+    for what, item in rows.items():
+        table.add_row(what, str(item['cases']), _text(item))
+    console.print(table)
+    for kind, counts in found['effects'].items():
+        console.print(f'  {kind}: ' + ', '.join(f'{n} {what}' for what, n in counts.items()))
+    if found['false_names']:
+        names = ', '.join(f'{name} ({n})' for name, n in found['false_names'].items())
+        console.print(f'  false names: {names}')
+    if found['crashed']:
+        console.print(f'  commands that failed: {found["crashed"]}')
 
 
 def _table(title: str, *headings: str) -> Table:

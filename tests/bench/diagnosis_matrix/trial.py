@@ -26,8 +26,8 @@ from typing import Any
 import joblib
 import numpy as np
 
-from diagnosis_matrix import scoring
-from diagnosis_matrix.cases import GROUPS, NOTHING, SINGLE, TWO, UNKNOWN, Case, Drawn, draw
+from diagnosis_matrix import other_simulator, scoring
+from diagnosis_matrix.cases import GROUPS, NOTHING, OTHER, SINGLE, TWO, UNKNOWN, Case, Drawn, draw
 from diagnosis_matrix.sizing import CLOSE, OutOfReach, scale_of_size, size
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
@@ -102,6 +102,16 @@ def logs(
     ]
 
 
+def model_of(case: Case, model: str) -> str:
+    """Return the model that a case is diagnosed with, as its line of results has it."""
+    return other_simulator.MODEL if _kind(case) == OTHER else model
+
+
+def through(case: Case, through_files: bool) -> str:
+    """Return how a case gets its logs, as its line of results has it."""
+    return 'files' if through_files or _kind(case) == OTHER else 'memory'
+
+
 def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
     """Run a case; return a line of results, also where it fails."""
     begun_s = time.perf_counter()
@@ -111,13 +121,16 @@ def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
         'hidden': list(case.hidden),
         'number': case.number,
         'seed': case.seed,
-        'model': model,
-        'through': 'files' if through_files else 'memory',
+        'model': model_of(case, model),
+        'through': through(case, through_files),
     }
     try:
         # One case is one process: what is parallel inside would only get in the way.
         with joblib.parallel_config(backend='sequential'):
-            line |= _run(case, model, through_files)
+            if _kind(case) == OTHER:
+                line |= other_simulator.run(case.seed, case.number)
+            else:
+                line |= _run(case, model, through_files)
     except OutOfReach as error:
         line |= {'outcome': LEFT_OUT, 'reason': str(error)}
     except Exception:  # a defect must not end the bench; it counts as a case that failed

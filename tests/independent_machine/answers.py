@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What waferbot's library calls each hidden effect, and with which values.
+
+`right` names do exactly what is hidden, in the machine at hand; `related` ones are a part of it, or
+cannot be told from it in some motions: naming one is neither right nor a false alarm.
+
+    hidden (values): right names; related names
+
+    coulomb (friction at the axis): coulomb_friction [1, 2]; presliding
+    motor_coulomb (friction at the motor): gearbox_friction [3]; coulomb_friction, presliding
+    direction_dependent (forward, backward): direction_dependent_friction; coulomb_friction and
+        constant_force, whose sum it is as long as it moves
+    stribeck (breakaway, speed): stribeck_friction
+    viscous (damping): viscous_friction [2]
+    mass (amount, kg or kg m2): wrong_inertia, of mass added to a slide wafer; force_constant,
+        encoder_scale
+    motor_constant (ratio): force_constant; wrong_inertia, encoder_scale
+    constant_force (force): constant_force
+    imbalance (offset_x, offset_y, m): centre_of_gravity
+    cogging (cosine_N, sine_N at the motor): cogging
+    eccentricity (cosine, sine, period): encoder_eccentricity
+    motor_eccentricity (cosine, sine, period): motor_encoder_eccentricity; transmission_error
+    encoder_delay (delay_s): encoder_delay, a skew that was found and taken out; motor_encoder_delay
+    drive_delay (delay_s): the same, and command_delay; motor_encoder_delay
+    backlash (gap, rad at the output): backlash; gearbox_compliance, that of the flanks
+    compliance (rad/Nm at the output): gearbox_compliance
+
+1. Where the description has dry friction, wrong_friction, too. 2. Of a gear that does not give, what is
+before it acts just as well: gearbox_friction, gearbox_damping. 3. There, what is right for coulomb is
+right as well.
+
+Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may
+not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
+Frictions that the description has are then off by a factor, too: wrong_friction and viscous_friction are
+related.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from independent_machine.machine import Machine
+
+SKEW = 'skew'
+"""Stands for a note that says that drive and position were moved against one another."""
+
+LEAST_TICKS = 8
+LEAST_TICKS_HZ = 2000.0
+MOST_TICKS_HZ = 18000.0
+"""
+How waferbot chooses the phase cycle of a machine without a controller, by the log's rate: a whole
+multiple of that, the unit of its delays.
+"""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A name of the library with the values expected, by parameter; those that are left out are free."""
+
+    effect: str
+    values: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Answers:
+    """What is right for a hidden effect, the first of it best, and what is at least not false."""
+
+    right: tuple[Answer, ...]
+    related: frozenset[str] = frozenset()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """The names that are right."""
+        return frozenset(answer.effect for answer in self.right)
+
+
+def phase_hz(rate_hz: float) -> float:
+    """Return the phase rate that waferbot simulates a machine with whose log has a rate."""
+    ticks = max(LEAST_TICKS, math.ceil(LEAST_TICKS_HZ / rate_hz))
+    return min(float(round(ticks * rate_hz)), MOST_TICKS_HZ)
+
+
+def answers(
+    machine: Machine, kind: str, values: Mapping[str, float], hidden: Mapping, rate_hz: float
+) -> Answers:
+    """Return the answers to one of the hidden effects of a case, `hidden` being all of them."""
+    gives = 'backlash' in hidden or 'compliance' in hidden
+    stiff_gear = machine.kind == 'geared' and not gives
+    if kind == 'coulomb':
+        return _dry(machine, values['friction'], hidden, stiff_gear)
+    if kind == 'motor_coulomb':
+        own = Answer('gearbox_friction', {'friction': values['friction']})
+        if not stiff_gear:
+            return Answers((own,), frozenset({'coulomb_friction', 'presliding'}))
+        at_axis = _dry(machine, machine.ratio * values['friction'], hidden, stiff_gear)
+        others = tuple(answer for answer in at_axis.right if answer.effect != own.effect)
+        return Answers((own, *others), at_axis.related)
+    if kind == 'viscous':
+        damping = values['damping']
+        right = (Answer('viscous_friction', {'damping': damping}),)
+        if stiff_gear:
+            right += (Answer('gearbox_damping', {'damping': damping / machine.ratio**2}),)
+        return Answers(right)
+    if kind == 'mass':
+        amount = values['amount']
+        parameter = 'mass' if machine.linear else 'inertia'
+        right = (Answer('wrong_inertia', {parameter: amount}),)
+        if machine.linear and amount > 0.0:
+            right += (Answer('wafer', {'mass': amount}),)
+        return Answers(right, _in_other_measure(machine, 'force_constant'))
+    if kind in ('encoder_delay', 'drive_delay'):
+        cycles = values['delay_s'] * phase_hz(rate_hz)
+        right = (
+            Answer('encoder_delay', {'delay': cycles}),
+            Answer(SKEW, {'late_s': -values['delay_s']}),
+        )
+        if kind == 'drive_delay':
+            right += (Answer('command_delay'),)
+        return Answers(right, frozenset({'motor_encoder_delay'}))
+    name, related = {
+        'direction_dependent': (
+            'direction_dependent_friction',
+            {'coulomb_friction', 'constant_force'},
+        ),
+        'stribeck': ('stribeck_friction', set()),
+        'motor_constant': ('force_constant', _in_other_measure(machine, 'wrong_inertia')),
+        'constant_force': ('constant_force', set()),
+        'imbalance': ('centre_of_gravity', set()),
+        'cogging': ('cogging', set()),
+        'eccentricity': ('encoder_eccentricity', set()),
+        'motor_eccentricity': ('motor_encoder_eccentricity', {'transmission_error'}),
+        'backlash': ('backlash', {'gearbox_compliance'}),
+        'compliance': ('gearbox_compliance', set()),
+    }[kind]
+    return Answers((Answer(name, dict(values)),), frozenset(related))
+
+
+def _in_other_measure(machine: Machine, other: str) -> frozenset[str]:
+    """
+    Return what stands together for a wrong mass or motor constant: all else in another measure of force.
+
+    r k I = M q'' + R is k I = M q'' / r + R / r: with `other` the known frictions are off by a factor.
+    """
+    found = {other, 'encoder_scale'}
+    found |= {'wrong_friction'} if machine.coulomb > 0.0 else set()
+    found |= {'viscous_friction'} if machine.viscous > 0.0 else set()
+    return frozenset(found)
+
+
+def _dry(machine: Machine, friction: float, hidden: Mapping, stiff_gear: bool) -> Answers:
+    """Return the answers to a Coulomb friction at the axis."""
+    both = stiff_gear and 'coulomb' in hidden and 'motor_coulomb' in hidden
+    # Two that act as one: the sum is what can be found, under either name or both.
+    values = {} if both else {'friction': friction}
+    right = [Answer('coulomb_friction', values)]
+    if stiff_gear:
+        scaled_values = {} if both else {'friction': friction / machine.ratio}
+        right.append(Answer('gearbox_friction', scaled_values))
+    if machine.coulomb > 0.0:
+        ratio = {} if both else {'ratio': 1.0 + friction / machine.coulomb}
+        right.append(Answer('wrong_friction', ratio))
+    return Answers(tuple(right), frozenset({'presliding'}))
+
+
+SHAPES = ('period', 'speed')
+"""Values that have no size of their own."""
+
+
+def scaled(kind: str, values: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Return the values of an effect that is larger by a factor."""
+    if kind == 'motor_constant':
+        return {'ratio': 1.0 + factor * (values['ratio'] - 1.0)}
+    return {name: value if name in SHAPES else factor * value for name, value in values.items()}
