@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
+from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.estimation import Estimate, Progress, estimate
@@ -148,11 +148,12 @@ def _whiteness(part: BlockOfLog, name: str, white: Array, order: int) -> Whitene
     """Return how white a channel is; None where it is rounding that is left over, or it is short."""
     if order == 0 or len(white) <= 2 * LAGS:
         return None
-    commanded = part.record.commanded
-    if commanded is None or name not in ENCODERS:
+    commanded = part.record.path_commanded(AXIS_OF[name]) if name in ENCODERS else None
+    if commanded is None:
         return whiteness(white, order)
-    # Residuals are one for every servo cycle, but for those left out at the beginning.
-    tail = commanded[len(commanded) - len(white) - order :, AXES.index(AXIS_OF[name])]
+    # What was commanded when each sample was taken; the first ones are left out by the whitening.
+    cycle = (part.times_s(name) * part.record.timing.servo_hz).astype(np.intp)
+    tail = commanded[np.minimum(cycle, len(commanded) - 1)][-len(white) - order :]
     if not np.ptp(tail) > 0.0:
         return whiteness(white, order)
     return whiteness(white, order, lfilter(autoregression(tail, order), 1.0, tail)[order:])
