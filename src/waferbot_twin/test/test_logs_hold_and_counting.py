@@ -86,6 +86,17 @@ def test_a_held_drive_is_held_if_the_mapping_says_so(random, motor, tmp_path) ->
     assert any('not significant' in note for note in notes)
 
 
+def test_a_held_drive_is_found_by_its_half_sample(random, motor, tmp_path) -> None:
+    file = held_drive(random, tmp_path)
+    found = aligned_record(mapped(file), motor)
+    assert any('taken as held' in note for note in found.notes)
+    said = aligned_record(mapped(file, ', hold: zero_order'), motor)
+    assert found.current.tobytes() == said.current.tobytes()
+    straight = aligned_record(mapped(file, ', hold: linear'), motor)
+    assert not any('taken as held' in note for note in straight.notes)
+    assert any('moved by that' in note for note in straight.notes)
+
+
 def test_a_log_that_is_faster_than_its_drive_tells_it_itself(random, motor, tmp_path) -> None:
     file = held_drive(random, tmp_path, samples_per_cycle=3, cycles=400)
     log = mapped(file)
@@ -123,7 +134,7 @@ def test_how_a_signal_goes_survives_the_archive_and_is_printed(tmp_path, capsys)
         )  # fmt: skip
     assert main(['import', str(tmp_path / 'kept'), '--out', str(tmp_path / 'again')]) == 0
     printed = capsys.readouterr().out
-    assert 'held between samples: x_rotate.current, x_rotate.current_command' in printed
+    assert 'held between samples: x_rotate.current_command, x_rotate.current' in printed
     assert 'straight between samples: x_rotate.position' in printed
     assert 'rounded down: x_rotate.position' in printed
 

@@ -22,13 +22,16 @@ from waferbot_plant.plant import find_description
 from waferbot_twin.controllers.closed_loop import Begin, Counting, run
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification.named_parameters import parse
 from waferbot_twin.logs.load import load_log
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.controller_block import controller_block
 from waferbot_twin.residuals.from_measured_log import aligned_record, record_of_measured_log
-from waferbot_twin.residuals.problem import CONTROLLER, Problem
+from waferbot_twin.residuals.noise_free_motion import motion
+from waferbot_twin.residuals.problem import CONTROLLER, PLANT, Problem
+from waferbot_twin.residuals.shown import shown_residual, shown_value
 from waferbot_twin.validation.gain import gains
 
 AXIS, PLACE = 'x_rotate', 1
@@ -243,6 +246,63 @@ def test_the_noise_free_log_is_there_to_be_asked(random, tmp_path) -> None:
             assert all(np.isfinite(one).all() for one in noise_free)
     assert len(problem.blocks[CONTROLLER]) == 1
     assert not any('weaker' in note for record in problem.records for note in record.notes)
+
+
+def test_what_the_command_causes_is_that_motion(random, tmp_path) -> None:
+    """Finding 1: what asks by the command gets position, speed and current of an imported log."""
+    time_s, commanded = path(random, 0.6)
+    angles, torques = exact_loop(commanded)
+    machine = machine_file(tmp_path)
+    log = imported(tmp_path, time_s, commanded, angles, torques, machine)
+    variant = Variant.of(load_model_or_machine(str(machine)))
+    record = aligned_record(log, variant)
+    found = motion(variant, simulate(variant, record), AXIS)
+    middle = slice(len(found.clock_s) // 4, -len(found.clock_s) // 8)
+    delay_s = variant.description.encoder_delay * record.timing.tick_s
+    angle = np.interp(found.clock_s - delay_s, time_s, angles)
+    speed = np.interp(found.clock_s - delay_s, time_s, np.gradient(angles, time_s))
+    assert found.position[middle] / COUNTS == pytest.approx(angle[middle], abs=0.01)
+    assert found.speed[middle] / COUNTS == pytest.approx(speed[middle], abs=0.3)
+    current = np.abs(np.interp(found.clock_s, time_s, torques))
+    current /= places.force_per_ampere(variant, AXIS)
+    assert found.amplitude[middle] == pytest.approx(current[middle], abs=0.15)
+
+
+def test_an_imported_log_is_told_in_its_own_units(random, tmp_path) -> None:
+    time_s, commanded = path(random, 0.6)
+    angles, torques = exact_loop(commanded)
+    machine = machine_file(tmp_path)
+    log = imported(tmp_path, time_s, commanded, angles, torques, machine)
+    variant = Variant.of(load_model_or_machine(str(machine)))
+    record = aligned_record(log, variant)
+    factor, unit = shown_residual(record, variant, PLANT, AXIS)
+    assert (factor, unit) == (pytest.approx(1.0 / COUNTS), 'rad')
+    factor, unit = shown_residual(record, variant, CONTROLLER, AXIS)
+    assert (factor, unit) == (pytest.approx(places.force_per_ampere(variant, AXIS)), 'Nm')
+    (delay,) = find('encoder_delay').parameters(variant, AXIS)
+    factor, unit = shown_value(record, variant, AXIS, delay)
+    assert (factor, unit) == (pytest.approx(1e3 / record.timing.encoder_hz), 'ms')
+    assert not any(word in note for note in record.notes for word in ('cycle', 'count'))
+
+
+def test_gains_of_a_controller_are_parameters_with_a_name(random, tmp_path) -> None:
+    time_s, commanded = path(random, 1.0)
+    angles, torques = exact_loop(commanded, counts=COUNTS)
+    machine = machine_file(tmp_path)
+    log = imported(tmp_path, time_s, commanded, angles, torques, machine)
+    right = Variant.of(load_model_or_machine(str(machine)))
+    settings = dict(right.machine['controllers'][AXIS], derivative_gain_s_per_rad=0.02)
+    wrong = replace(right, machine={**right.machine, 'controllers': {AXIS: settings}})
+    named = parse('controllers.x_rotate.derivative_gain_s_per_rad', wrong)
+    problem = Problem(wrong, [aligned_record(log, wrong)])
+    cause = named.cause(0.0)
+    assert problem.touched(cause.effect, cause.axis) == (CONTROLLER,)
+    before, after = (
+        np.std(problem.residuals(named.cause(named.scaled(v)).effect.apply(
+            wrong, cause.axis, named.cause(named.scaled(v)).values), CONTROLLER)[0])
+        for v in (0.02, KD)
+    )  # fmt: skip
+    assert after < 1e-3 * before
 
 
 def test_a_commanded_position_alone_is_kept_and_claims_no_controller(random, tmp_path) -> None:

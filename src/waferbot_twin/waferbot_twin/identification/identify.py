@@ -22,8 +22,9 @@ from waferbot_twin.identification.estimation import Estimate, Progress, estimate
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
 from waferbot_twin.noise_model.prediction_error import autoregression
-from waferbot_twin.residuals.problem import UNITS, BlockOfLog, Problem
+from waferbot_twin.residuals.problem import BlockOfLog, Problem
 from waferbot_twin.residuals.record import Array, Record
+from waferbot_twin.residuals.shown import shown_residual
 from waferbot_twin.validation.gain import AxisGain, gains
 
 AT_BOUND = 0.01
@@ -127,14 +128,15 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                     for hypothesis in (found.before, found.after)
                 )
                 fitted = found.after.fits[block]
+                factor, unit = shown_residual(part.record, problem.nominal, block, name)
                 result.append(
                     Channel(
                         block,
                         part.record.name,
                         name,
-                        UNITS[block],
-                        float(np.sqrt(np.mean(before**2))),
-                        float(np.sqrt(np.mean(after**2))),
+                        unit,
+                        factor * float(np.sqrt(np.mean(before**2))),
+                        factor * float(np.sqrt(np.mean(after**2))),
                         _whiteness(
                             part, name, fitted.whitened[place], fitted.colours[place].error.order
                         ),

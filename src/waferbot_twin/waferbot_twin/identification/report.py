@@ -280,6 +280,6 @@ def _draw_whiteness(result: Identification) -> Figure:
             panel.axhspan(-bound, bound, color='#dddddd', zorder=0)
             panel.grid(alpha=0.3)
         row[0].set_title(f'{item.block}, {item.log}: {item.name}', fontsize=9, loc='left')
-    panels[-1][0].set_xlabel('lag of the residual with itself [servo cycles]')
-    panels[-1][1].set_xlabel('lag behind the commanded position [servo cycles]')
+    panels[-1][0].set_xlabel('lag of the residual with itself [samples]')
+    panels[-1][1].set_xlabel('lag behind the commanded position [samples]')
     return figure

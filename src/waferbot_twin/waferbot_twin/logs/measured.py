@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -166,6 +166,11 @@ class MeasuredLog:
         if key not in self._by_key:
             raise UserError(f'{self.name}: there is no {key[1]} of {key[0]}')
         return self._by_key[key]
+
+    def with_signal(self, signal: Signal) -> MeasuredLog:
+        """Return the log with a signal in place of its own one of that axis and kind."""
+        kept = [one for one in self.signals if (one.axis, one.kind) != (signal.axis, signal.kind)]
+        return replace(self, signals=(*kept, signal))
 
     def axes(self) -> tuple[str, ...]:
         """Return the axes of which there is anything."""

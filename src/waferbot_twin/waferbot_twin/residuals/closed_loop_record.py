@@ -47,7 +47,7 @@ def simulate(variant: Variant, record: Record) -> Record:
     commanded = np.nan_to_num(record.commanded)
     signals = run_commanded(variant, record.timing, commanded, record.ticks)
     simulated = record_of_signals(record.name, signals)
-    if record.current is None:
+    if not record.is_imported:
         return _with_signals_of(record, simulated)
     rows = np.minimum(np.arange(len(record.reading)), len(simulated.reading) - 1)
     seen = simulated.reading[rows] + 0.5  # the twin's encoders round down

@@ -72,6 +72,9 @@ FEW_SAMPLES = 2
 LEAST_CHANGES, IN_STEP = 16, 0.7
 """Changes of a command, and how far they agree (0 to 1), that tell when a controller acts."""
 
+NEAR_HALF = 0.2
+"""Share of a sample by which a skew may miss half a sample and still be that of a held drive."""
+
 LENGTH = {'m': 'slides', 'rad': 'turns'}
 """What an axis does whose position has this unit."""
 
@@ -349,6 +352,15 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
         cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
         found = skew(position, drive, cycle)
         pair = f'{log.name}: {drive.name} against its position'
+        if found is not None and _as_if_held(drive, found):
+            held = replace(drive, hold=ZERO_ORDER)
+            of_held = skew(position, held, cycle)
+            if of_held is not None and not of_held.significant:
+                notes.append(
+                    f'{pair}: {_skew_text(found)} late, half a sample, as of a drive that holds its '
+                    'output: taken as held (hold: linear in the mapping, if not)'
+                )
+                log, found = log.with_signal(held), of_held
         if found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')
         elif found.significant:
@@ -373,6 +385,14 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
         )
     notes += [*how, *_of_commands(record, variant, axes)]
     return replace(record, notes=tuple(notes))
+
+
+def _as_if_held(drive: Signal, found: Skew) -> bool:
+    """Return whether a drive that was taken straight is early by half a sample, and nobody said how."""
+    step_s = 1.0 / drive.rate_hz
+    off_s = abs(found.late_s + 0.5 * step_s)
+    unsaid = not drive.held and not drive.hold
+    return unsaid and found.significant and off_s < NEAR_HALF * step_s
 
 
 def _with_counting(
@@ -402,8 +422,9 @@ def _with_counting(
                 does = 'rounded down' if how == FLOOR else 'rounded to the nearest step'
                 notes.append(f'{log.name}: both encoders of {axis} are {does}, as they differ')
         changed.update({(axis, signal.kind): signal for signal, _ in pair})
-    signals = tuple(changed.get((signal.axis, signal.kind), signal) for signal in log.signals)
-    return replace(log, signals=signals), notes
+    for signal in changed.values():
+        log = log.with_signal(signal)
+    return log, notes
 
 
 def _motion_ratio(variant: Variant, axis: str) -> float:

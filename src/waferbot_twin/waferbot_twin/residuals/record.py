@@ -91,6 +91,11 @@ class Record:
     notes: tuple[str, ...] = ()
 
     @property
+    def is_imported(self) -> bool:
+        """Whether it is of a log that was imported, with times and units of its own."""
+        return self.current is not None
+
+    @property
     def has_commanded(self) -> bool:
         """Whether the log tells what any axis was commanded."""
         return self.commanded is not None
