@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import pytest
 
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.description_controllers import DRIVE_GAINS, KEYS, _with_unit
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import find_description
 
@@ -103,3 +105,9 @@ def test_how_an_encoder_counts_is_read(tmp_path) -> None:
     file.write_text(text.replace('floor', 'truncate'), 'utf-8')
     with pytest.raises(UserError, match='floor, round, average'):
         load_description(file)
+
+
+def test_the_page_has_every_key() -> None:
+    page = (Path(__file__).parents[3] / 'docs' / 'controllers.md').read_text('utf-8')
+    for name in {name for keys in KEYS.values() for name in keys} - {*DRIVE_GAINS}:
+        assert f'`{_with_unit(name, False)}`' in page, name

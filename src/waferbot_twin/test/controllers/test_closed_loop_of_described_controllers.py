@@ -353,6 +353,25 @@ def test_an_unstable_loop_is_an_error_with_its_axis(random, tmp_path) -> None:
         simulate(wild, record)
 
 
+def test_an_axis_without_a_controller_stands(tmp_path) -> None:
+    """An elbow moves; the shoulder, which gravity would let fall, is not in the log."""
+    base = find_description('planar_two_link_arm')
+    text = f'extends: {base}\ncontrollers:\n  y_rotate: {{kind: pid, rate_hz: 1000, output: Nm, '
+    text += 'proportional_gain_per_rad: 400, derivative_gain_s_per_rad: 8, derivative_filter_hz: 200}\n'
+    file = tmp_path / 'arm.yaml'
+    file.write_text(text, 'utf-8')
+    variant = Variant.of(load_model_or_machine(str(file)))
+    commanded = np.zeros((500, 3))
+    commanded[:, 2] = 0.1 * (1.0 - np.cos(np.arange(500) * 2e-2))
+    begin = Begin(*np.zeros((4, 3)))
+    found = run(variant, Timing(8000, 1, 8), commanded, begin, Counting(np.zeros(4), np.zeros(4)))
+    per_unit = places.counts_per_unit(variant)
+    assert np.ptp(found.seen[:, 1]) == 0.0
+    reached = found.seen[::8, 2] / per_unit[2]
+    assert np.abs(reached - commanded[:, 2]).max() < 0.05
+    assert np.ptp(reached) > 0.15
+
+
 def test_rates_that_do_not_nest_are_refused(tmp_path) -> None:
     machine = find_description('planar_two_link_arm')
     axes = Variant.of(load_model_or_machine(str(machine))).description.axes

@@ -4,7 +4,8 @@ The closed loop of a plant and described controllers, compiled, without any nois
 
 Within a tick: encoders are read; controllers compute, where it is a cycle of theirs; the plant moves on
 under what they put out `delay` ago, held until the next output takes its place. The drive does at once
-what it is told, as it is taken to do where a log has no more than its command. Controllers see what
+what it is told, as it is taken to do where a log has no more than its command. An axis without a
+controller stands still. Controllers see what
 encoders show at that tick (later by what an encoder is late beyond the others), in the whole steps in
 which the log counts.
 """
@@ -122,6 +123,7 @@ def run(
         variant.description.encoder_delay,
         counting.step,
         counting.down,
+        _standing(variant, parameters[0], len(machine.coordinates)),
         np.zeros(3 * motors.MOTORS),
         result.seen,
         result.speed,
@@ -145,6 +147,18 @@ def _set_off(
         for row, name in enumerate(coordinates):
             if name in placing and placing[name][0] == what:
                 state[0]['velocity'][row] += placing[name][1] / own * velocity[place]
+
+
+def _standing(variant: Variant, p: np.void, coordinates: int) -> NDArray[np.bool_]:
+    """Return which coordinates are those of an axis without a controller: it stands where it is."""
+    description = variant.description
+    standing = np.zeros(coordinates, np.bool_)
+    for place, axis in enumerate(AXES):
+        if axis in description.axes and axis not in description.controllers:
+            standing[p['axis_coordinate'][place]] = True
+            if axis in description.motors:
+                standing[p['motor_coordinate'][place]] = True
+    return standing
 
 
 @compiled
@@ -172,6 +186,7 @@ def _advance(
     common_delay,
     count_step,
     down,
+    standing,
     no_voltage,
     seen_out,
     speed_out,
@@ -182,14 +197,15 @@ def _advance(
     Run the loop; fill the arrays of `Run`. Returns tick and coordinate of a runaway, or the end and -1.
 
     `velocity`, `integral` (in units of the output) and `current` (3,) as in `Begin`; `amperes` (3,) per
-    unit of the output; `delays` (3,) ticks; `per_unit` (3,) counts; `count_step`, `down` (4,) as
-    `Counting` has them.
+    unit of the output; `standing` (n,) coordinates that do not move; `delays` (3,) ticks; `per_unit`
+    (3,) counts; `count_step`, `down` (4,) as `Counting` has them.
     """
     s = state[0]
     p = parameters[0]
     axes = len(per_unit)
     position = np.zeros(axes)
     output = np.zeros(axes)
+    start = s['position'].copy()
     for motor in range(motors.MOTORS):
         s['terminals_open'][motor] = 1
     for axis in range(axes):
@@ -235,4 +251,8 @@ def _advance(
             if coordinate >= 0:
                 return tick, coordinate
         plant.advance(state, parameters, no_voltage)
+        for coordinate in range(len(standing)):
+            if standing[coordinate]:
+                s['position'][coordinate] = start[coordinate]
+                s['velocity'][coordinate] = 0.0
     return len(seen_out), -1

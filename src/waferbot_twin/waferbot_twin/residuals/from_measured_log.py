@@ -159,7 +159,7 @@ def record_of_measured_log(
         for axis, drive in drives.items()
     }
     begin_s = min(begin for begin, _ in spans.values())
-    if commanded and places.described_axes(variant):
+    if commanded and timing.servo_divider > 1:
         first_s = _first_cycle_s(next(iter(commanded.values())), timing.servo_hz)
         cycles_before = math.ceil((begin_s - first_s) * timing.servo_hz - SAME_CYCLE)
         begin_s = first_s + cycles_before / timing.servo_hz
