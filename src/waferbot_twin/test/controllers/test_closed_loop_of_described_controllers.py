@@ -229,11 +229,13 @@ def test_the_gain_is_that_of_the_closed_loop(random, tmp_path) -> None:
     assert gain.improvement_percent > 50.0
 
 
-def test_the_noise_free_log_is_there_to_be_asked(random, tmp_path) -> None:
+@pytest.mark.parametrize('missing', [0, 30])
+def test_the_noise_free_log_is_there_to_be_asked(random, tmp_path, missing) -> None:
     time_s, commanded = path(random, 0.6)
     angles, torques = exact_loop(commanded, counts=COUNTS)
     machine = machine_file(tmp_path)
-    log = imported(tmp_path, time_s, commanded, angles, torques, machine)
+    kept = (np.arange(600) < 300) | (np.arange(600) >= 300 + missing)
+    log = imported(tmp_path, time_s[kept], commanded[kept], angles[kept], torques[kept], machine)
     variant = Variant.of(load_model_or_machine(str(machine)))
     problem = Problem(variant, [aligned_record(log, variant)])
     ideal = problem.ideal(())
@@ -336,6 +338,19 @@ def test_without_a_commanded_position_the_log_says_that_it_is_weaker(random, tmp
     assert not record.has_commanded
     assert not record.closes_loop
     assert any('no commanded position' in note and 'weaker' in note for note in record.notes)
+
+
+def test_nobody_knows_what_was_commanded_in_a_long_gap(random, tmp_path) -> None:
+    time_s, commanded = path(random, 0.6)
+    angles, torques = exact_loop(commanded, counts=COUNTS)
+    machine = machine_file(tmp_path)
+    kept = (np.arange(600) < 300) | (np.arange(600) >= 400)
+    log = imported(tmp_path, time_s[kept], commanded[kept], angles[kept], torques[kept], machine)
+    variant = Variant.of(load_model_or_machine(str(machine)))
+    record = aligned_record(log, variant)
+    assert not record.closes_loop
+    assert any('no commanded position throughout' in note for note in record.notes)
+    assert Problem(variant, [record]).ideal(()) is None
 
 
 def test_an_unstable_loop_is_an_error_with_its_axis(random, tmp_path) -> None:

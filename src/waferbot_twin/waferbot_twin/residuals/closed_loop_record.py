@@ -80,13 +80,15 @@ def _described(variant: Variant, record: Record) -> Record:
         taken = np.maximum(rows - published['encoder_delay'][place], 0)
         seen[:, place] = done.seen[taken, place]
         seen[:, place] += _late_s(record)[:, place] * done.speed[taken, place]
-    command = None if record.command is None else done.command
+    command = record.command
+    if command is not None:
+        command = np.where(np.isfinite(command), done.command, np.nan)
     return Record(
         record.name,
         record.timing,
         np.full((record.ticks, 2 * len(AXES)), np.nan),
         _read_as(record, seen, published['coarseness']),
-        commanded * per_unit,
+        record.commanded,
         command,
         whole_counts=False,
         judged_from_s=record.judged_from_s,

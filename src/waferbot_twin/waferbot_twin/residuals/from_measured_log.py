@@ -69,6 +69,9 @@ BEHIND = 0.25
 FEW_SAMPLES = 2
 """Samples that a command may lack at the ends of a log."""
 
+BRIDGED_S = 0.05
+"""A commanded position goes straight over gaps up to this long, s; over longer ones nobody knows it."""
+
 LEAST_CHANGES, IN_STEP = 16, 0.7
 """Changes of a command, and how far they agree (0 to 1), that tell when a controller acts."""
 
@@ -194,7 +197,7 @@ def record_of_measured_log(
                 step or UNKNOWN_RESOLUTION * float(np.ptp(signal.value))
             )
     cycle_s = begin_s + np.arange(cycles) / timing.servo_hz
-    paths = _at_cycles(commanded, cycle_s, places.counts_per_unit(variant), AXES)
+    paths = _at_cycles(commanded, cycle_s, places.counts_per_unit(variant), AXES, BRIDGED_S)
     known_controllers = _with_known_controller(variant, paths)
     outputs = {
         axis: _output_signal(log, variant, axis)
@@ -276,14 +279,19 @@ def _first_cycle_s(commanded: Signal, servo_hz: float) -> float:
 
 
 def _at_cycles(
-    signals: Mapping[str, Signal], cycle_s: Array, per_unit: Array, axes: Sequence[str]
+    signals: Mapping[str, Signal],
+    cycle_s: Array,
+    per_unit: Array,
+    axes: Sequence[str],
+    bridged_s: float = 0.0,
 ) -> Array | None:
     """
     Return what axes were told at the controllers' cycles (cycles, axes); None without any signal.
 
     As `Signal.at` gives it, a little behind each cycle: times of a log are rounded. In a faster log it
     is the first sample of each cycle. What is slower than the cycles was finer where it came from, and
-    is taken straight. Ends that lack a few samples stay as the last one; longer gaps are NaN.
+    is taken straight. Ends that lack a few samples stay as the last one; gaps are NaN, but for those up
+    to `bridged_s`, which are taken straight.
     """
     if not signals:
         return None
@@ -304,6 +312,10 @@ def _at_cycles(
                 value[: known[0]] = value[known[0]]
             if len(value) - 1 - known[-1] <= few:
                 value[known[-1] :] = value[known[-1]]
+        for begin_s, end_s in signal.gaps():
+            inside = (cycle_s >= begin_s) & (cycle_s < end_s)
+            if end_s - begin_s <= bridged_s:
+                value[inside] = np.interp(cycle_s[inside], signal.time_s, signal.value)
         found[:, axes.index(axis)] = value * per_unit[axes.index(axis)]
     return found
 
