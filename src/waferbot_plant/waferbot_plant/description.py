@@ -3,7 +3,7 @@
 The machine as data: what a description file says, checked, in SI units.
 
 A description is a YAML file of bodies, joints, rotors, transmissions, connections, friction,
-motors and encoders; `description.schema.json` is its grammar, and units are in the keys.
+motors, encoders and controllers; `description.schema.json` is its grammar, and units are in the keys.
 Positions, axes and inertia tensors are given in the base frame (y up) at the **home pose**, in
 which every coordinate is zero; so no chain of frames has to be worked out by hand.
 
@@ -293,12 +293,18 @@ class EncoderErrors:
 
 @dataclass(frozen=True)
 class Encoder:
-    """An encoder at a place of the contract, in counts per m or per rad of a coordinate."""
+    """
+    An encoder at a place of the contract, in counts per m or per rad of a coordinate.
+
+    `counting` says how readings in imported logs become whole counts: `floor`, `round`, or `average`
+    (several rounded down, averaged); '' where nobody says. The contract's counts are rounded down.
+    """
 
     place: str
     coordinate: str
     counts_per_unit: float
     errors: EncoderErrors
+    counting: str = ''
 
 
 @dataclass(frozen=True)
@@ -314,6 +320,50 @@ class CurrentSensors:
     offsets: tuple[float, float]
     noise: float
     noise_seed: int
+
+
+@dataclass(frozen=True)
+class Controller:
+    """
+    The controller of an axis by its law, for machines that no PMAC drives; see
+    `description_controllers`.
+
+    Gains are in the unit of the `output` (A, N, Nm, V, or a share of full scale) per unit of the axis,
+    m or rad, and per s. `rate` and corner frequencies in Hz, times in s. Without a limit it is infinite,
+    without a filter its frequency is 0. `drive_gain` is what the drive makes of a unit of the output, in
+    `drive_unit` (A of the motor; N or Nm at the axis). Gains that the `kind` does not have are 0.
+    """
+
+    axis: str
+    kind: str
+    rate: float
+    output: str
+    drive_gain: float
+    drive_unit: str
+    output_limit: float = math.inf
+    delay: float = 0.0
+    proportional: float = 0.0
+    integral: float = 0.0
+    derivative: float = 0.0
+    derivative_filter: float = 0.0
+    derivative_of: str = 'error'
+    integral_limit: float = math.inf
+    anti_windup: str = 'conditional'
+    tracking_time: float = 0.0
+    velocity_feedforward: float = 0.0
+    acceleration_feedforward: float = 0.0
+    position_gain: float = 0.0
+    position_integral: float = 0.0
+    position_integral_limit: float = math.inf
+    velocity_limit: float = math.inf
+    velocity_gain: float = 0.0
+    velocity_integral: float = 0.0
+    velocity_filter: float = 0.0
+
+    @property
+    def integrates(self) -> bool:
+        """Whether it can hold a force without an error."""
+        return self.integral > 0.0 or self.velocity_integral > 0.0 or self.position_integral > 0.0
 
 
 @dataclass(frozen=True)
@@ -337,6 +387,7 @@ class Description:
     motors: Mapping[str, Motor]
     encoders: Mapping[str, Encoder]
     current_sensors: Mapping[str, CurrentSensors]
+    controllers: Mapping[str, Controller]
     parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]

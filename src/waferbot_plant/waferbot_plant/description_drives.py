@@ -87,7 +87,9 @@ def read_encoder(reader: Reader, place: str) -> Encoder:
     coordinate, revolute = reader.coordinate(key, reader.data['encoders'][place])
     counts = reader.quantity(key, revolute, 'counts_per_m', 'counts_per_revolution')
     per_unit = counts / (2.0 * math.pi) if revolute else float(counts)
-    return Encoder(place, coordinate, per_unit, _encoder_errors(reader, place, revolute))
+    errors = _encoder_errors(reader, place, revolute)
+    counting = str(reader.data['encoders'][place].get('counting', ''))
+    return Encoder(place, coordinate, per_unit, errors, counting)
 
 
 def _encoder_errors(reader: Reader, place: str, revolute: bool) -> EncoderErrors:

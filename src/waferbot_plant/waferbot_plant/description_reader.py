@@ -27,6 +27,7 @@ from waferbot_plant.description import (
     Stage,
     Transmission,
 )
+from waferbot_plant.description_controllers import read_controller
 from waferbot_plant.description_drives import read_current_sensors, read_encoder, read_motor
 from waferbot_plant.part_library import Carried
 
@@ -106,6 +107,9 @@ class Reader:
             encoders={place: read_encoder(self, place) for place in self.section('encoders')},
             current_sensors={
                 axis: read_current_sensors(self, axis) for axis in self.section('current_sensors')
+            },
+            controllers={
+                axis: read_controller(self, axis) for axis in self.section('controllers')
             },
             parts=self.parts,
             revolute=self.revolute,

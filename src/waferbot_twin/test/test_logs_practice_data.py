@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The two measured data sets of docs/logs.md, read from the folder that WAFERBOT_DATA names.
+The measured data sets of docs/logs.md, read from the folder that WAFERBOT_DATA names.
 
 What is known of them was found by others, or follows from a quick fit that is written out here.
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,16 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.signal import savgol_filter
 
 from waferbot_twin.cli.main import main
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.archive import write_archive
 from waferbot_twin.logs.load import load_log
+from waferbot_twin.models import load_model_or_machine
+from waferbot_twin.residuals.controller_block import controller_block
+from waferbot_twin.residuals.from_measured_log import aligned_record
+from waferbot_twin.residuals.problem import CONTROLLER
+from waferbot_twin.residuals.shown import shown_residual
+from waferbot_twin.validation.gain import gains
 
 DATA = os.environ.get('WAFERBOT_DATA', '')
 
@@ -164,3 +173,42 @@ def test_cogging_of_the_motor_comes_out(tmp_path) -> None:
     assert np.hypot(found['cosine_7'], found['sine_7']) == pytest.approx(0.044, rel=0.2)
     assert causes.keys() & {'viscous_friction', 'coulomb_friction'}
     assert report['gain']['axes']['x_rotate']['improvement_percent'] > 80.0
+
+
+EMPS = Path(DATA, 'emps', 'DATA_EMPS.mat')
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason='WAFERBOT_DATA has no folder emps')
+def test_the_cascade_of_a_ball_screw_axis_leaves_what_differentiated_counts_leave() -> None:
+    """Its owners' law and gains; 0.1 V is what they and the notes of the data have left over."""
+    variant = Variant.of(load_model_or_machine('ball_screw_axis'))
+    log = load_log(EMPS, 'emps')
+    assert log['y_linear', 'drive_command'].unit == 'V'
+    record = aligned_record(log, variant)
+    assert record.has_controller
+    assert record.closes_loop
+    block = controller_block(record, variant)
+    (left,) = block.residuals(variant)
+    factor, unit = shown_residual(record, variant, CONTROLLER, 'y_linear')
+    assert unit == 'V'
+    assert factor * np.std(left) < 0.1
+    assert len(left) > 0.99 * len(log['y_linear', 'position'].time_s)
+    # Half the velocity gain is plainly wrong.
+    settings = dict(variant.machine['controllers']['y_linear'], velocity_gain_s_per_m=121.7)
+    wrong = replace(variant, machine={**variant.machine, 'controllers': {'y_linear': settings}})
+    (left,) = block.residuals(wrong)
+    assert factor * np.std(left) > 0.5
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason='WAFERBOT_DATA has no folder emps')
+def test_the_loop_of_a_ball_screw_axis_is_closed_and_friction_gains_there() -> None:
+    variant = Variant.of(load_model_or_machine('ball_screw_axis'))
+    record = aligned_record(load_log(EMPS, 'emps'), variant)
+    (friction,) = find('coulomb_friction').parameters(variant, 'y_linear')
+    with_it = find('coulomb_friction').apply(variant, 'y_linear', {friction.name: 20.4})
+    viscous = find('viscous_friction').parameters(variant, 'y_linear')[0].name
+    with_both = find('viscous_friction').apply(with_it, 'y_linear', {viscous: 203.5})
+    (gain,) = gains(variant, with_both, [record])
+    assert gain.closed_loop
+    assert gain.unit == 'm'
+    assert gain.improvement_percent > 50.0

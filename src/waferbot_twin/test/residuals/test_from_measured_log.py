@@ -250,6 +250,10 @@ def test_an_imported_folder_is_a_log(random, motor, tmp_path) -> None:
 def test_a_machine_alone_has_no_controller(motor) -> None:
     assert motor.is_machine_alone
     assert places.controlled_axes(motor) == places.amplified_axes(motor) == ()
-    assert not Variant.of(load_model_or_machine('rigid')).is_machine_alone
+    rigid = Variant.of(load_model_or_machine('rigid'))
+    assert not rigid.is_machine_alone
+    assert 'ros__parameters' in rigid.text
+    assert 'ros__parameters' not in motor.text
+    assert 'bodies:' in motor.text
     with pytest.raises(UserError, match='there is no model'):
         load_model_or_machine('nowhere')

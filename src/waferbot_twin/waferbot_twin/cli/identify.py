@@ -7,6 +7,7 @@ Identify named parameters of a model from measured logs, with intervals and what
 A parameter is a path into the machine's description, pmac.AXIS.NAME or copley.AXIS.NAME. It may become
 ten times larger or smaller, or what PATH=low:high says. DIR gets report.html, report.json and
 identified.yaml, a model that every node and engine loads: waferbot run --model DIR/identified.yaml.
+--model may be the description of a machine alone; then identified.yaml is one, too.
 """
 
 from __future__ import annotations
@@ -41,10 +42,10 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.identification.identify import identify
     from waferbot_twin.identification.named_parameters import parse_all
     from waferbot_twin.identification.report import as_dict, remarks, table_rows, write
-    from waferbot_twin.models import load_model
+    from waferbot_twin.models import load_model_or_machine
     from waferbot_twin.residuals.load import load_records
 
-    nominal = Variant.of(load_model(options.model))
+    nominal = Variant.of(load_model_or_machine(options.model))
     parameters = parse_all(options.parameter, nominal)
     records = load_records(options.measured, nominal)
     judging = load_records(options.validate, nominal)

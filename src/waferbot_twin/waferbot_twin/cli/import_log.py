@@ -84,5 +84,16 @@ def show(log: MeasuredLog) -> None:
             str(row['gaps']),
         )
     result_console.print(table)
+    signals = described['signals']
+    for what, chosen in (
+        ('held between samples', [row for row in signals if row['held']]),
+        ('straight between samples', [row for row in signals if not row['held']]),
+        ('rounded down', [row for row in signals if row['counting'] == 'floor']),
+        ('rounded to the nearest step', [row for row in signals if row['counting'] == 'round']),
+        ('averaged counts', [row for row in signals if row['counting'] == 'average']),
+    ):
+        if chosen:
+            names = ', '.join(f'{row["axis"]}.{row["kind"]}' for row in chosen)
+            result_console.print(f'  {what}: {names}', soft_wrap=True)
     for finding in log.findings:
         result_console.print(f'  {finding}', soft_wrap=True)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_plant import motors
 from waferbot_plant.assembly import home_mass_matrix_and_weight
 from waferbot_plant.description import Body, Joint
@@ -178,6 +178,34 @@ def force_per_ampere(variant: Variant, axis: str) -> float:
     return abs(
         motors.force_constant(variant.description.motors[axis]) * motor_ratio(variant, axis)
     )
+
+
+def amperes_per_output(variant: Variant, axis: str) -> float:
+    """Return the motor's current (A) per unit of what an axis' described controller puts out."""
+    controller = variant.base.description.controllers[axis]
+    per_ampere = 1.0
+    if controller.drive_unit != 'A':
+        per_ampere = force_per_ampere(variant, axis)
+    return controller.drive_gain / per_ampere
+
+
+def counts_per_unit(variant: Variant) -> np.ndarray:
+    """Return the counts (3,) of each axis' position encoder per m or rad of the axis; 1 without one."""
+    found = np.ones(len(AXES))
+    for place, axis in enumerate(AXES):
+        # The encoders of positions have the places of their axes.
+        part = variant.base.description.encoders.get(ENCODERS[place])
+        if part is not None and axis in variant.base.description.axes:
+            placing = variant.base.rigid.placing
+            ratio = placing[part.coordinate][1] / placing[coordinate(variant, axis)][1]
+            found[place] = part.counts_per_unit * ratio
+    return found
+
+
+def described_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes whose controller the description has, and no PMAC's settings stand for it."""
+    controllers = variant.base.description.controllers
+    return tuple(a for a in motor_axes(variant) if a in controllers and not variant.pmac.get(a))
 
 
 def moving_inertia(variant: Variant, axis: str) -> float:

@@ -132,7 +132,7 @@ def run_of(log: MeasuredLog, channels: tuple[Channel, Channel], variant: Variant
     slower = max((source, target), key=lambda signal: median_step_s(signal.time_s))
     step_s = median_step_s(slower.time_s)
     count = int(np.floor((slower.time_s[-1] - slower.time_s[0]) / step_s + 0.5)) + 1
-    middle_s = 0.5 * step_s if KINDS[slower.kind].held else 0.0
+    middle_s = 0.5 * step_s if slower.held else 0.0
     time_s = slower.time_s[0] + middle_s + step_s * np.arange(count)
     signals = [signal for signal in (source, target, commanded) if signal is not None]
     values = [signal.at(time_s)[0] for signal in signals]

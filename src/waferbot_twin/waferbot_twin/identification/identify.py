@@ -15,15 +15,16 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
+from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.estimation import Estimate, Progress, estimate
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
 from waferbot_twin.noise_model.prediction_error import autoregression
-from waferbot_twin.residuals.problem import UNITS, BlockOfLog, Problem
+from waferbot_twin.residuals.problem import BlockOfLog, Problem
 from waferbot_twin.residuals.record import Array, Record
+from waferbot_twin.residuals.shown import shown_residual
 from waferbot_twin.validation.gain import AxisGain, gains
 
 AT_BOUND = 0.01
@@ -127,14 +128,15 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                     for hypothesis in (found.before, found.after)
                 )
                 fitted = found.after.fits[block]
+                factor, unit = shown_residual(part.record, problem.nominal, block, name)
                 result.append(
                     Channel(
                         block,
                         part.record.name,
                         name,
-                        UNITS[block],
-                        float(np.sqrt(np.mean(before**2))),
-                        float(np.sqrt(np.mean(after**2))),
+                        unit,
+                        factor * float(np.sqrt(np.mean(before**2))),
+                        factor * float(np.sqrt(np.mean(after**2))),
                         _whiteness(
                             part, name, fitted.whitened[place], fitted.colours[place].error.order
                         ),
@@ -148,11 +150,12 @@ def _whiteness(part: BlockOfLog, name: str, white: Array, order: int) -> Whitene
     """Return how white a channel is; None where it is rounding that is left over, or it is short."""
     if order == 0 or len(white) <= 2 * LAGS:
         return None
-    commanded = part.record.commanded
-    if commanded is None or name not in ENCODERS:
+    commanded = part.record.path_commanded(AXIS_OF[name]) if name in ENCODERS else None
+    if commanded is None:
         return whiteness(white, order)
-    # Residuals are one for every servo cycle, but for those left out at the beginning.
-    tail = commanded[len(commanded) - len(white) - order :, AXES.index(AXIS_OF[name])]
+    # What was commanded when each sample was taken; the first ones are left out by the whitening.
+    cycle = (part.times_s(name) * part.record.timing.servo_hz).astype(np.intp)
+    tail = commanded[np.minimum(cycle, len(commanded) - 1)][-len(white) - order :]
     if not np.ptp(tail) > 0.0:
         return whiteness(white, order)
     return whiteness(white, order, lfilter(autoregression(tail, order), 1.0, tail)[order:])

@@ -148,7 +148,7 @@ def write(result: Identification, folder: Path) -> None:
     (folder / 'report.json').write_text(as_json(finite(as_dict(result))) + '\n', 'utf-8')
     names = ', '.join(parameter.path for parameter in result.estimate.parameters)
     header = f'# The model {result.nominal.name} with identified parameters: {names}.\n'
-    (folder / 'identified.yaml').write_text(header + result.identified.model().text, 'utf-8')
+    (folder / 'identified.yaml').write_text(header + result.identified.text, 'utf-8')
     (folder / 'report.html').write_text(page(result), 'utf-8')
 
 
@@ -280,6 +280,6 @@ def _draw_whiteness(result: Identification) -> Figure:
             panel.axhspan(-bound, bound, color='#dddddd', zorder=0)
             panel.grid(alpha=0.3)
         row[0].set_title(f'{item.block}, {item.log}: {item.name}', fontsize=9, loc='left')
-    panels[-1][0].set_xlabel('lag of the residual with itself [servo cycles]')
-    panels[-1][1].set_xlabel('lag behind the commanded position [servo cycles]')
+    panels[-1][0].set_xlabel('lag of the residual with itself [samples]')
+    panels[-1][1].set_xlabel('lag behind the commanded position [samples]')
     return figure

@@ -42,7 +42,6 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
-from waferbot_twin.logs.kinds import KINDS
 from waferbot_twin.logs.measured import Signal
 from waferbot_twin.logs.timebase import median_step_s
 
@@ -238,9 +237,9 @@ def _of_position(
 
 
 def _of_drive(drive: Signal, starts: Array, length_s: float) -> Array:
-    """Return int u p of every window; commands stand until the next one."""
+    """Return int u p of every window; a held drive stands until the next sample."""
     row, place, weight = _samples(drive.time_s, starts, length_s)
-    if not KINDS[drive.kind].held:
+    if not drive.held:
         return np.asarray(np.sum(weight * drive.value[row] * WINDOWS(place), axis=1))
     after = drive.time_s[np.minimum(row + 1, len(drive.time_s) - 1)]
     until = np.clip((after - starts[:, None]) / length_s, 0.0, 1.0)

@@ -97,6 +97,9 @@ def read_archive(path: Path, content: Content) -> MeasuredLog:
                 samples['time'].astype(np.float64),
                 samples['value'].astype(np.float64),
                 entry['resolution'],
+                entry.get('hold', ''),
+                entry.get('counting', ''),
+                entry.get('half_step', 0.0),
             )
         )
     return MeasuredLog(

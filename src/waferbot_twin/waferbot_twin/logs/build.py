@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.logs.checks import check_signals
 from waferbot_twin.logs.columns import Column, Columns
+from waferbot_twin.logs.counting import AVERAGE, counted
 from waferbot_twin.logs.findings import Finding, rows_text, unique
+from waferbot_twin.logs.hold import with_hold
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.mapping import LogMapping, SignalSource, TimeSource
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -173,17 +175,27 @@ def _signal(
     conversion = source.conversion
     value = conversion.factor * number + conversion.offset
     resolution = source.resolution
+    if resolution is None and source.counting == AVERAGE and source.unit == 'counts':
+        resolution = 1.0
     if resolution is None and source.unit in COUNT_UNITS:
         resolution = _count(column, source)
         if resolution is None:
             reason = f'{source.kind} is in counts, but most of its values are no whole counts'
             findings.append(Finding(f'{column.file}, column {source.column}', reason, 'note'))
     if resolution is not None:
-        resolution *= conversion.factor
+        resolution *= abs(conversion.factor)
     moved = Column(value, column.file, column.noun, column.number, column.sample)
-    return clean_signal(
+    signal = clean_signal(
         source.axis, source.kind, source.si_unit, moved, time_s, findings, resolution
     )
+    if signal is None:
+        return None
+    signal = with_hold(replace(signal, hold=source.hold), findings)
+    counting = source.counting or (
+        mapping.machine.counting(source.axis, source.kind) if mapping.machine else ''
+    )
+    up = source.sign * source.scale * source.divide_by * conversion.factor > 0.0
+    return counted(signal, counting, up, findings) if counting else signal
 
 
 def _count(column: Column, source: SignalSource) -> float | None:
@@ -268,14 +280,7 @@ def _window(
         )
         findings.append(Finding(signal.name, reason))
         return None
-    return Signal(
-        signal.kind,
-        signal.axis,
-        signal.unit,
-        time_s[inside],
-        signal.value[inside],
-        signal.resolution,
-    )
+    return replace(signal, time_s=time_s[inside], value=signal.value[inside])
 
 
 def _gaps(signals: list[Signal]) -> list[Finding]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from waferbot_twin.logs.counting import AVERAGE
 from waferbot_twin.logs.findings import Finding
 from waferbot_twin.logs.measured import Signal
 from waferbot_twin.logs.units import explain_factor
@@ -83,7 +84,7 @@ def _alone(signal: Signal, peak_current: float | None) -> list[Finding]:
             'is the scale right?'
         )
         findings.append(Finding(signal.name, reason, 'suspect'))
-    if signal.resolution > 0.0 and low != high:
+    if signal.resolution > 0.0 and low != high and signal.counting != AVERAGE:
         # Direction of each value on a circle of one step; they agree if all sit on one lattice.
         turns = np.exp(2j * np.pi * (signal.value / signal.resolution))
         if abs(turns.mean()) < LATTICE and np.ptp(signal.value) < 1e9 * signal.resolution:

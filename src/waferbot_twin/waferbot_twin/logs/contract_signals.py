@@ -26,6 +26,7 @@ from waferbot_lockstep.contract import (
 from waferbot_twin.commutation import direct_part, driving_part, electrical_angle, three_lines
 from waferbot_twin.logs.build import clean_signal
 from waferbot_twin.logs.columns import Column
+from waferbot_twin.logs.counting import FLOOR, counted
 from waferbot_twin.logs.findings import Finding
 from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
 from waferbot_twin.logs.machine import Controls, encoder_name
@@ -74,7 +75,8 @@ class ContractSignals:
             given = _given(array, encoder)
             time_s = array['tick'][given] / self._hz - delay_s
             counts = array['counts'][given, encoder]
-            self._add(axis, kind, ENCODERS_TOPIC.name, time_s, counts / per_unit, 1.0 / per_unit)
+            value, step = counts / per_unit, 1.0 / abs(per_unit)
+            self._add(axis, kind, ENCODERS_TOPIC.name, time_s, value, step, per_unit > 0.0)
 
     def _servo(self, axis: int) -> None:
         state = self._topics.get(SERVO_STATE.name)
@@ -170,7 +172,9 @@ class ContractSignals:
         time_s: Array,
         value: Array,
         resolution: float | None = 0.0,
+        up: bool | None = None,
     ) -> None:
+        """Add a signal; `up`: it is one of counts, which rise as it does, or fall."""
         if len(time_s) == 0:
             return
         name = AXES[axis]
@@ -179,6 +183,8 @@ class ContractSignals:
         sample = np.arange(len(value))
         column = Column(value, f'{self._path}, topic {topic}', 'message', sample + 1, sample)
         signal = clean_signal(name, kind, unit, column, time_s, self.findings, resolution)
+        if signal is not None and up is not None:
+            signal = counted(signal, FLOOR, up, self.findings)
         if signal is not None:
             self.signals.append(signal)
 

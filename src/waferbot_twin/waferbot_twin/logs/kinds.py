@@ -19,7 +19,7 @@ class Kind:
 
     `linear` and `rotary` are the quantities that it has on an axis that slides and on one that turns;
     `held` tells that its value stands until the next one comes (a command), where others change
-    steadily between samples.
+    steadily between samples, unless the log says otherwise.
     """
 
     name: str
@@ -83,6 +83,12 @@ UNITS = {
     'temperature': 'degC',
 }
 """The SI unit of each quantity, as signals have it."""
+
+OTHER_QUANTITIES = {'drive_command': ('voltage',)}
+"""
+What a kind may be in, too: the output of a controller may be a voltage. What a drive makes of it is in
+the description of the controller.
+"""
 
 SAME_KIND = {'torque': 'force'}
 """Other names of a kind: on an axis that turns, a force is a torque."""

@@ -9,7 +9,7 @@ the servo's and the amplifier's settings too: counts per unit, and the commutati
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -43,12 +43,18 @@ class Machine:
     What is known of the machine that a log is of.
 
     `linear` tells for each axis whether it moves by metres; `counts_per_unit` is counts per m or rad
-    by place of the contract, of the encoder's own coordinate.
+    by place of the contract, of the encoder's own coordinate; `countings` how each counts in logs.
     """
 
     name: str
     linear: Mapping[str, bool]
     counts_per_unit: Mapping[str, float]
+    countings: Mapping[str, str] = field(default_factory=dict)
+
+    def counting(self, axis: str, kind: str) -> str:
+        """Return how the encoder behind a position counts in logs, '' where nobody says."""
+        places = {'position': POSITION_ENCODER, 'motor_position': MOTOR_ENCODER}
+        return self.countings.get(places[kind][axis], '') if kind in places else ''
 
     def counts(self, axis: str, kind: str) -> float:
         """Return the counts per m or rad behind a kind of signal; raises `UserError`."""
@@ -71,6 +77,7 @@ def machine_of(description: Description) -> Machine:
             for axis, coordinate in description.axes.items()
         },
         {place: encoder.counts_per_unit for place, encoder in description.encoders.items()},
+        {place: encoder.counting for place, encoder in description.encoders.items()},
     )
 
 

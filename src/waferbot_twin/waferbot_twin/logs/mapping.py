@@ -20,7 +20,7 @@ from ament_index_python.packages import get_package_share_directory
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_twin.logs.kinds import KINDS, SAME_KIND, UNITS, is_linear
+from waferbot_twin.logs.kinds import KINDS, OTHER_QUANTITIES, SAME_KIND, UNITS, is_linear
 from waferbot_twin.logs.machine import Machine, load_constants
 from waferbot_twin.logs.units import (
     COUNT_UNITS,
@@ -59,8 +59,9 @@ class SignalSource:
     """
     Where one signal comes from.
 
-    SI value = factor * sign * (scale * column / divide_by + offset) + shift, where factor and shift
-    are those of the unit (`conversion`); `wraps_at` and `resolution` are in the unit as given.
+    SI value = factor * sign * (scale * column / divide_by + offset) + shift, where factor and shift are
+    those of the unit (`conversion`); `wraps_at` and `resolution` are in the unit as given. `hold` and
+    `counting` are as in `measured.Signal`.
     """
 
     column: Column
@@ -74,6 +75,8 @@ class SignalSource:
     offset: float = 0.0
     wraps_at: float | None = None
     resolution: float | None = None
+    hold: str = ''
+    counting: str = ''
     delay_s: float = 0.0
     time: TimeSource | None = None
     in_companion: bool = False
@@ -250,6 +253,10 @@ def _signal(
     linear = is_linear(axis, machine.linear if machine else None)
     if given_kind == 'torque' and linear:
         raise document.error((*key, 'kind'), f'{axis} slides, so it has a force, no torque')
+    if 'counting' in data and kind not in ('position', 'motor_position'):
+        raise document.error(
+            (*key, 'counting'), f'{kind} is not counted; it belongs to a position'
+        )
     time = None
     if 'sample_time_s' in data or 'time_column' in data:
         if 'sample_time_s' in data and 'time_column' in data:
@@ -269,6 +276,8 @@ def _signal(
         offset=float(data.get('offset', 0.0)),
         wraps_at=data.get('wraps_at'),
         resolution=data.get('resolution'),
+        hold=data.get('hold', ''),
+        counting=data.get('counting', ''),
         delay_s=float(data.get('delay_s', 0.0)),
         time=time,
         in_companion=data.get('in', 'log') == 'companion',
@@ -302,14 +311,15 @@ def _conversion(
             raise document.error((*key, 'unit'), str(error)) from None
         per_second = 1.0 / cycle_s if unit == 'counts/servo_cycle' and cycle_s else 1.0
         return Unit(quantity, factor * per_second)
-    fitting = [name for name, entry in UNITS_IN_LOGS.items() if entry.quantity == quantity]
+    quantities = [quantity, *OTHER_QUANTITIES.get(kind, ())]
+    fitting = [name for name, entry in UNITS_IN_LOGS.items() if entry.quantity in quantities]
     if unit not in UNITS_IN_LOGS:
         hint = did_you_mean(unit, [*fitting, *COUNT_UNITS])
         raise document.error(
             (*key, 'unit'), f'there is no unit {unit!r}{hint} (for {kind}: {", ".join(fitting)})'
         )
     found = UNITS_IN_LOGS[unit]
-    if found.quantity != quantity:
+    if found.quantity not in quantities:
         moves = 'slides' if linear else 'turns'
         raise document.error(
             (*key, 'unit'),

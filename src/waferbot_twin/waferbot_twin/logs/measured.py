@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,9 @@ from waferbot_twin.logs.kinds import DRIVES, KINDS, place_in_order
 from waferbot_twin.logs.timebase import longest_step_s, median_step_s
 
 Array = NDArray[np.float64]
+
+ZERO_ORDER, LINEAR = 'zero_order', 'linear'
+"""How a signal goes between samples: it stands until the next one, or goes straight to it."""
 
 SNAP = 1e-6
 """Share of a step by which two times may differ and still be the same: rounding, not motion."""
@@ -31,6 +34,11 @@ class Signal:
     `kinds.KINDS`. `resolution` is the smallest step that the value can make (one count), in `unit`; 0
     where it is not known. A place where the steps of time are longer than `gap_s` is a gap: nothing
     is known there.
+
+    `hold` says how the signal goes between samples, '' where nobody says: then commands stand and the
+    rest goes straight. `counting` says how a position became steps: `floor`, `round`, `average`, or ''
+    where nobody knows; `half_step` is by how much its values are too low on average because of that,
+    in `unit` (negative where a negative scale turns rounding down into rounding up).
     """
 
     kind: str
@@ -39,6 +47,9 @@ class Signal:
     time_s: Array
     value: Array
     resolution: float = 0.0
+    hold: str = ''
+    counting: str = ''
+    half_step: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse what is no signal; readers clean their data before they make one."""
@@ -55,6 +66,11 @@ class Signal:
     def name(self) -> str:
         """Axis and kind, as `x_rotate.current`."""
         return f'{self.axis}.{self.kind}'
+
+    @property
+    def held(self) -> bool:
+        """Whether a value stands until the next one."""
+        return self.hold == ZERO_ORDER if self.hold else KINDS[self.kind].held
 
     @property
     def rate_hz(self) -> float:
@@ -75,8 +91,8 @@ class Signal:
         """
         Return the values at other times, and where they are known.
 
-        Commands are held until their next sample, everything else is interpolated linearly. Before
-        the first sample, behind the last one (a command stands for one more usual step) and inside
+        Held signals stand until their next sample, the others are interpolated linearly. Before
+        the first sample, behind the last one (a held one stands for one more usual step) and inside
         gaps nothing is known: NaN. No value is made up there.
         """
         if len(self.time_s) == 0:
@@ -85,7 +101,7 @@ class Signal:
         time_s = _snapped(np.asarray(time_s, np.float64), self.time_s, SNAP * usual_s)
         row = np.searchsorted(self.time_s, time_s, side='right') - 1
         held = np.clip(row, 0, None)
-        if KINDS[self.kind].held:
+        if self.held:
             value = self.value[held]
             last = time_s < self.time_s[-1] + (1.0 - SNAP) * usual_s
         else:
@@ -129,7 +145,7 @@ class MeasuredLog:
     digest: str = ''
     mapping: str = ''
     origin_ns: int = 0
-    _by_key: dict[tuple[str, str], Signal] = field(default_factory=dict, repr=False)
+    _by_key: dict[tuple[str, str], Signal] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Put the signals in order; refuse two of the same axis and kind."""
@@ -150,6 +166,11 @@ class MeasuredLog:
         if key not in self._by_key:
             raise UserError(f'{self.name}: there is no {key[1]} of {key[0]}')
         return self._by_key[key]
+
+    def with_signal(self, signal: Signal) -> MeasuredLog:
+        """Return the log with a signal in place of its own one of that axis and kind."""
+        kept = [one for one in self.signals if (one.axis, one.kind) != (signal.axis, signal.kind)]
+        return replace(self, signals=(*kept, signal))
 
     def axes(self) -> tuple[str, ...]:
         """Return the axes of which there is anything."""
@@ -209,6 +230,10 @@ class MeasuredLog:
                     'lowest': float(signal.value.min()),
                     'highest': float(signal.value.max()),
                     'resolution': signal.resolution,
+                    'hold': signal.hold,
+                    'held': signal.held,
+                    'counting': signal.counting,
+                    'half_step': signal.half_step,
                     'gaps': len(signal.gaps()),
                 }
                 for signal in self.signals

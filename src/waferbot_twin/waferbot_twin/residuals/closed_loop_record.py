@@ -13,6 +13,7 @@ Source: instrumental variables in closed loop, L. Ljung, System Identification, 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +21,16 @@ from numpy.typing import NDArray
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.encoders import find_positions
+from waferbot_twin.controllers.closed_loop import Begin, Counting, run
+from waferbot_twin.effects.places import counts_per_unit, described_axes
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.residuals.described_controller_block import DescribedControllerBlock
 from waferbot_twin.residuals.from_recording import record_of_signals
-from waferbot_twin.residuals.record import Record
+from waferbot_twin.residuals.record import Array, Record
+
+BEGIN_S = 0.02
+"""Time over which the position and speed of an imported log are taken as those at its beginning, s."""
 
 
 def simulate(variant: Variant, record: Record) -> Record:
@@ -31,11 +38,104 @@ def simulate(variant: Variant, record: Record) -> Record:
     Return what the closed loop of `variant` logs for the commanded positions of `record`.
 
     It has only the signals that `record` has, so that the same blocks can be replayed, and begins at
-    rest where the log begins. Raises `UserError` if the loop is unstable.
+    rest where the log begins; of an imported log with the first positions and speeds, and with readings
+    at the times at which the log has them. Raises `UserError` if the loop is unstable.
     """
     assert record.commanded is not None
-    signals = run_commanded(variant, record.timing, record.commanded, record.ticks)
-    return _with_signals_of(record, record_of_signals(record.name, signals))
+    if described_axes(variant):
+        return _described(variant, record)
+    commanded = np.nan_to_num(record.commanded)
+    signals = run_commanded(variant, record.timing, commanded, record.ticks)
+    simulated = record_of_signals(record.name, signals)
+    if not record.is_imported:
+        return _with_signals_of(record, simulated)
+    rows = np.minimum(np.arange(len(record.reading)), len(simulated.reading) - 1)
+    seen = simulated.reading[rows] + 0.5  # the twin's encoders round down
+    speed = np.gradient(seen, axis=0) * record.timing.encoder_hz
+    return replace(
+        _with_signals_of(record, simulated),
+        reading=np.where(np.isfinite(record.reading), seen + _late_s(record) * speed, np.nan),
+        whole_counts=False,
+        **_how_read(record),
+    )
+
+
+def _described(variant: Variant, record: Record) -> Record:
+    """Return what the loop of described controllers logs, by the measured log's own times."""
+    assert record.commanded is not None
+    per_unit = counts_per_unit(variant)
+    counting = Counting(
+        np.where(record.counted, record.resolution, 0.0),
+        (np.array(record.half_step) != 0.0).astype(float),
+    )
+    begin = _begin(variant, record, per_unit)
+    commanded = np.where(
+        np.isfinite(record.commanded), record.commanded / per_unit, begin.position
+    )
+    done = run(variant, record.timing, commanded, begin, counting)
+    published = built(variant, record.timing).parameters()[0]
+    rows = np.arange(len(record.reading))
+    seen = np.zeros_like(record.reading)
+    for place in range(len(ENCODERS)):
+        taken = np.maximum(rows - published['encoder_delay'][place], 0)
+        seen[:, place] = done.seen[taken, place]
+        seen[:, place] += _late_s(record)[:, place] * done.speed[taken, place]
+    command = record.command
+    if command is not None:
+        command = np.where(np.isfinite(command), done.command, np.nan)
+    return Record(
+        record.name,
+        record.timing,
+        np.full((record.ticks, 2 * len(AXES)), np.nan),
+        _read_as(record, seen, published['coarseness']),
+        record.commanded,
+        command,
+        whole_counts=False,
+        judged_from_s=record.judged_from_s,
+        current=done.current[: record.ticks],
+        **_how_read(record),
+    )
+
+
+def _how_read(record: Record) -> dict[str, Any]:
+    """Return what a simulated log has in common with the measured one: how and when it was read."""
+    return {
+        'late_s': record.late_s,
+        'resolution': record.resolution,
+        'half_step': record.half_step,
+        'counted': record.counted,
+        'controlled': record.controlled,
+    }
+
+
+def _late_s(record: Record) -> Array:
+    """Return how much after the tick of its row each reading was taken (rows, 4), s."""
+    return np.zeros_like(record.reading) if record.late_s is None else record.late_s
+
+
+def _read_as(record: Record, seen: Array, coarseness: Array) -> Array:
+    """Return counts that encoders see as a log has them: in its steps, and where it has any."""
+    steps = np.where(record.counted, record.resolution, 0.0)
+    steps = np.where(coarseness > 1.0, np.maximum(steps, coarseness), steps)
+    half_step = np.array(record.half_step)
+    down = half_step != 0.0
+    with np.errstate(invalid='ignore', divide='ignore'):
+        whole = steps * np.floor(seen / steps + np.where(down, 0.0, 0.5))
+    reading = np.where(steps > 0.0, whole + half_step, seen)
+    return np.where(np.isfinite(record.reading), reading, np.nan)
+
+
+def _begin(variant: Variant, record: Record, per_unit: Array) -> Begin:
+    """Return where the axes of an imported log begin, and what their controllers put out there."""
+    position, velocity = np.zeros(len(AXES)), np.zeros(len(AXES))
+    for place in range(len(AXES)):
+        if np.isfinite(record.reading[:, place]).any():
+            position[place], velocity[place] = record.first_motion(place, BEGIN_S, 2)
+    integral, current = np.zeros(len(AXES)), np.zeros(len(AXES))
+    if record.has_controller and record.command is not None:
+        integral = DescribedControllerBlock(record, variant).first_integral(variant)
+        current = np.nan_to_num(record.command[0])
+    return Begin(position / per_unit, velocity / per_unit, integral, current)
 
 
 def run_commanded(

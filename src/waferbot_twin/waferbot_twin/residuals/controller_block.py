@@ -3,8 +3,10 @@
 The controller alone: given measured counts and commanded positions, what is left of its command.
 
 Residual is the measured current command less the one that the model's servo computes, A. The servo is
-deterministic, so with the true settings it is zero to the last bit; the floor is a fraction of a step of
-its output.
+deterministic, so with the true settings it is zero to the last bit; the floor is a fraction of a step
+of its output. That takes the very counts that the servo saw, at every servo tick: an axis of which an
+imported log has others is not looked at. For controllers of other makes see
+`described_controller_block`.
 """
 
 from __future__ import annotations
@@ -14,13 +16,24 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.effects.places import described_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.noise_model.prediction_error import Noise
 from waferbot_twin.replay import replay_servo
+from waferbot_twin.residuals.described_controller_block import DescribedControllerBlock
 from waferbot_twin.residuals.record import Array, Record
 
 FLOOR_BITS = 0.05
 """Smallest standard deviation of the residual, in steps of the controller's output."""
+
+
+def controller_block(
+    record: Record, variant: Variant
+) -> ControllerBlock | DescribedControllerBlock:
+    """Return the controllers of a log that has what they were given and what they made of it."""
+    if described_axes(variant):
+        return DescribedControllerBlock(record, variant)
+    return ControllerBlock(record, variant)
 
 
 class ControllerBlock:
@@ -37,7 +50,10 @@ class ControllerBlock:
         self._axes = [
             place
             for place, axis in enumerate(AXES)
-            if variant.pmac.get(axis) and np.isfinite(record.command[:, place]).all()
+            if axis in record.controlled
+            and variant.pmac.get(axis)
+            and record.whole_counts
+            and np.isfinite(record.command[:, place]).all()
         ]
         self.channels = [AXES[place] for place in self._axes]
         per_bit = (
@@ -47,9 +63,8 @@ class ControllerBlock:
             Noise(float(FLOOR_BITS * per_bit[place]), self.order) for place in self._axes
         ]
         rows = record.timing.servo_divider // record.timing.encoder_divider
-        self._counts = np.ascontiguousarray(record.reading[::rows][: len(record.command)]).astype(
-            np.int64
-        )
+        seen = record.reading[::rows][: len(record.command)]
+        self._counts = np.ascontiguousarray(np.nan_to_num(seen)).astype(np.int64)
 
     def times_s(self, channel: str) -> Array:
         """Return the time of every sample of a channel's residual, s from the log's beginning."""

@@ -4,9 +4,9 @@ Records from measured logs: what `waferbot import` wrote, text and arrays, recor
 
 Nothing is resampled that was measured as a position: every reading stands in the row of the ticks that
 is nearest to its time, with the rest of its time beside it (`Record.late_s`), and the rows between are
-empty. What drives an axis is needed at every tick, and is taken there as `Signal.at` gives it: commands
-held, everything else straight from sample to sample. Where the drive is not known, in a gap or outside
-of its log, readings are left out.
+empty. Half a step is added to readings that were rounded down (`logs.counting`). What drives an axis is
+needed at every tick, and is taken there as `Signal.at` gives it: held, or straight from sample to
+sample. Where the drive is not known, in a gap or outside of its log, readings are left out.
 
 What drives an axis is, the first that the log has of
 
@@ -15,13 +15,17 @@ What drives an axis is, the first that the log has of
                        r of the transmission. A drive's force is nearly always its own estimate from
                        its current; one that was measured acts on the model in this way just as well.
     current command    A, as if the amplifier did at once what it is told
-    drive command      share of the amplifier's peak current, likewise
+    drive command      share of full scale or V, likewise: what the described controller says that the
+                       drive makes of it, or share of the peak current of an amplifier that is known
+
+Commanded positions stand at servo ticks. Where the model knows the controller, they begin with a cycle
+of it: what the log tells of the cycles, the instants at which the commanded position changes, is kept.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,12 +33,14 @@ import numpy as np
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
+from waferbot_twin.controllers.law import cycle_hz
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, skew
+from waferbot_twin.logs.counting import AVERAGE, FLOOR, ROUND, counted, told_by_both
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
-from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.logs.measured import LINEAR, ZERO_ORDER, MeasuredLog, Signal
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
 from waferbot_twin.residuals.record import Array, Record
 
@@ -44,6 +50,33 @@ LEAST_TICKS_HZ = 2000.0
 
 UNKNOWN_RESOLUTION = 1e-6
 """Share of its path that a position is taken to be resolved to if the log does not show its steps."""
+
+COMMANDS = ('drive_command', 'current_command')
+"""What comes nearest to the output of a controller."""
+
+SAME_CYCLE, SAME_RATE = 1e-3, 1e-6
+"""Shares of a cycle, and of a rate, that are rounding."""
+
+SLOWER = 1.5
+"""Cycles of a controller from sample to sample from which on a log is slower than it."""
+
+FASTER = 0.6
+"""Cycles from sample to sample up to which a log is faster than the controller."""
+
+BEHIND = 0.25
+"""Share of a step behind a cycle at which a value is that of the cycle, however times are rounded."""
+
+FEW_SAMPLES = 2
+"""Samples that a command may lack at the ends of a log."""
+
+BRIDGED_S = 0.05
+"""A commanded position goes straight over gaps up to this long, s; over longer ones nobody knows it."""
+
+LEAST_CHANGES, IN_STEP = 16, 0.7
+"""Changes of a command, and how far they agree (0 to 1), that tell when a controller acts."""
+
+NEAR_HALF = 0.2
+"""Share of a sample by which a skew may miss half a sample and still be that of a held drive."""
 
 LENGTH = {'m': 'slides', 'rad': 'turns'}
 """What an axis does whose position has this unit."""
@@ -58,14 +91,19 @@ def amperes_per_unit(variant: Variant, drive: Signal) -> float:
     """Return the motor current (A) per unit of what drives an axis; raises `UserError`."""
     if drive.kind == 'force':
         return 1.0 / places.force_per_ampere(variant, drive.axis)
-    if drive.kind == 'drive_command':
-        if not variant.copley.get(drive.axis):
-            raise UserError(
-                f'{drive.name} is a share of the peak current of an amplifier that the model '
-                f'{variant.name} does not have; map it as current_command, with its scale in A'
-            )
+    if drive.kind != 'drive_command':
+        return 1.0
+    controller = variant.description.controllers.get(drive.axis)
+    output = 'V' if drive.unit == 'V' else 'share'
+    if controller is not None and controller.output == output:
+        return places.amperes_per_output(variant, drive.axis)
+    if output == 'share' and variant.copley.get(drive.axis):
         return places.peak_current(variant, drive.axis)
-    return 1.0
+    what = 'in V' if output == 'V' else 'a share of the peak current of an amplifier'
+    raise UserError(
+        f'{drive.name} is {what} and the model {variant.name} does not say what that makes: map it as '
+        f'current_command, with its scale in A, or describe its controller with output: {output}'
+    )
 
 
 def driven_axes(log: MeasuredLog, variant: Variant) -> tuple[str, ...]:
@@ -94,19 +132,28 @@ def driven_axes(log: MeasuredLog, variant: Variant) -> tuple[str, ...]:
 
 
 def record_of_measured_log(
-    log: MeasuredLog, variant: Variant, late_s: Mapping[str, float] | None = None
+    log: MeasuredLog,
+    variant: Variant,
+    late_s: Mapping[str, float] | None = None,
+    without_commanded: Collection[str] = (),
 ) -> Record:
     """
     Return the record of a measured log.
 
     `late_s` says of each axis how much later than the position its drive stands in the log (s); it is
-    moved by that. Ticks begin at the first time at which something is known. Raises `UserError` if log
-    and model have no axis in common, or never both signals at once.
+    moved by that. Commanded positions of the axes `without_commanded` are not used. Ticks begin at the
+    first time at which something is known. Raises `UserError` if log and model have no axis in common,
+    or never both signals at once.
     """
     axes = driven_axes(log, variant)
+    commanded = {
+        axis: found
+        for axis in axes
+        if axis not in without_commanded and (found := log.get(axis, 'commanded_position'))
+    }
     timing = _timing(log, axes, variant)
     shift_s = {axis: (late_s or {}).get(axis, 0.0) for axis in axes}
-    drives = {axis: found for axis in axes if (found := drive_of(log, axis))}
+    drives = {axis: found for axis in axes if (found := drive_signal(log, variant, axis))}
     spans = {
         axis: (
             max(log[axis, 'position'].time_s[0], drive.time_s[0] - shift_s[axis]),
@@ -115,6 +162,10 @@ def record_of_measured_log(
         for axis, drive in drives.items()
     }
     begin_s = min(begin for begin, _ in spans.values())
+    if commanded and timing.servo_divider > 1:
+        first_s = _first_cycle_s(next(iter(commanded.values())), timing.servo_hz)
+        cycles_before = math.ceil((begin_s - first_s) * timing.servo_hz - SAME_CYCLE)
+        begin_s = first_s + cycles_before / timing.servo_hz
     end_s = max(end for _, end in spans.values())
     cycles = int((end_s - begin_s) * timing.servo_hz)
     if cycles < 1:
@@ -129,30 +180,144 @@ def record_of_measured_log(
         current[:, AXES.index(axis)] = values * amperes_per_unit(variant, drive)
     rows = ticks // timing.encoder_divider
     reading, after = (np.full((rows, len(ENCODERS)), np.nan) for _ in range(2))
-    resolution = [1.0] * len(ENCODERS)
+    resolution, half_step = [1.0] * len(ENCODERS), [0.0] * len(ENCODERS)
+    in_steps = [False] * len(ENCODERS)
     known = np.isfinite(current)[:: timing.encoder_divider]
     for axis in axes:
         for signal, place in _positions(log, variant, axis):
             counts = _counts_per_unit(variant, axis, ENCODERS[place], signal.kind)
+            half_step[place] = signal.half_step * counts
             row, late = _rows(signal.time_s - begin_s, timing, _delay_rows(variant, place), rows)
             use = np.flatnonzero((row >= 0) & known[row, AXES.index(axis)])
-            reading[row[use], place] = signal.value[use] * counts
+            reading[row[use], place] = signal.value[use] * counts + half_step[place]
             after[row[use], place] = late[use]
+            in_steps[place] = signal.resolution > 0.0 and signal.counting in (FLOOR, ROUND)
+            step = 0.0 if signal.counting == AVERAGE else signal.resolution
             resolution[place] = abs(counts) * (
-                signal.resolution or UNKNOWN_RESOLUTION * float(np.ptp(signal.value))
+                step or UNKNOWN_RESOLUTION * float(np.ptp(signal.value))
             )
+    cycle_s = begin_s + np.arange(cycles) / timing.servo_hz
+    paths = _at_cycles(commanded, cycle_s, places.counts_per_unit(variant), AXES, BRIDGED_S)
+    known_controllers = _with_known_controller(variant, paths)
+    outputs = {
+        axis: _output_signal(log, variant, axis)
+        for axis in places.described_axes(variant)
+        if axis in known_controllers
+    }
+    amperes = np.array(
+        [amperes_per_unit(variant, outputs[a]) if a in outputs else 1.0 for a in AXES]
+    )
     return Record(
         log.name,
         timing,
         np.full((ticks, 2 * len(AXES)), np.nan),
         reading,
-        None,
-        None,
+        paths,
+        _at_cycles(outputs, cycle_s, amperes, AXES),
         whole_counts=False,
         current=current,
         late_s=np.nan_to_num(after),
         resolution=tuple(resolution),
+        half_step=tuple(half_step),
+        counted=tuple(in_steps),
+        controlled=known_controllers,
     )
+
+
+def drive_signal(log: MeasuredLog, variant: Variant, axis: str) -> Signal | None:
+    """
+    Return what tells best what drives an axis, as it goes between samples; None if nothing does.
+
+    A force that is the output of the described controller, or follows from it, is held unless the log
+    says otherwise.
+    """
+    drive = drive_of(log, axis)
+    if drive is None or drive.hold or drive.kind != 'force':
+        return drive
+    controller = variant.description.controllers.get(axis)
+    if controller is None or controller.drive_unit == 'A':
+        return drive
+    return replace(drive, hold=ZERO_ORDER)
+
+
+def _output_signal(log: MeasuredLog, variant: Variant, axis: str) -> Signal:
+    """Return what a log has of the output of an axis' described controller, the nearest to it."""
+    unit = variant.description.controllers[axis].output
+    force_first = unit in ('N', 'Nm')
+    kinds = ('force', *COMMANDS, 'current') if force_first else (*COMMANDS, 'current', 'force')
+    there = [signal for kind in kinds if (signal := log.get(axis, kind))]
+    exact = [signal for signal in there if signal.unit == {'share': '1'}.get(unit, unit)]
+    others = [signal for signal in there if signal.kind != 'drive_command']
+    return replace((exact or others or there)[0], hold=ZERO_ORDER)
+
+
+def _with_known_controller(variant: Variant, paths: Array | None) -> tuple[str, ...]:
+    """Return the axes whose commanded position is known throughout, and their controller too."""
+    if paths is None:
+        return ()
+    described = places.described_axes(variant)
+    known = described or tuple(
+        axis for axis in places.controlled_axes(variant) if variant.copley.get(axis)
+    )
+    return tuple(axis for axis in known if np.isfinite(paths[:, AXES.index(axis)]).all())
+
+
+def _first_cycle_s(commanded: Signal, servo_hz: float) -> float:
+    """
+    Return a time at which a controller of that rate computed, s.
+
+    Its cycles begin where the commanded position changes, as the mean over all changes has it: half a
+    step before in a log that is faster. Where that tells nothing, with the first sample.
+    """
+    changed = commanded.time_s[1:][np.diff(commanded.value) != 0.0]
+    if servo_hz < FASTER * commanded.rate_hz:
+        changed = changed - 0.5 / commanded.rate_hz
+    turns = np.exp(2j * np.pi * (changed - commanded.time_s[0]) * servo_hz)
+    if len(turns) < LEAST_CHANGES or abs(turns.mean()) < IN_STEP:
+        return float(commanded.time_s[0])
+    return float(commanded.time_s[0] + np.angle(turns.mean()) / (2.0 * np.pi * servo_hz))
+
+
+def _at_cycles(
+    signals: Mapping[str, Signal],
+    cycle_s: Array,
+    per_unit: Array,
+    axes: Sequence[str],
+    bridged_s: float = 0.0,
+) -> Array | None:
+    """
+    Return what axes were told at the controllers' cycles (cycles, axes); None without any signal.
+
+    As `Signal.at` gives it, a little behind each cycle: times of a log are rounded. In a faster log it
+    is the first sample of each cycle. What is slower than the cycles was finer where it came from, and
+    is taken straight. Ends that lack a few samples stay as the last one; gaps are NaN, but for those up
+    to `bridged_s`, which are taken straight.
+    """
+    if not signals:
+        return None
+    found = np.full((len(cycle_s), len(axes)), np.nan)
+    step_s = cycle_s[1] - cycle_s[0] if len(cycle_s) > 1 else 0.0
+    for axis, signal in signals.items():
+        own_s = 1.0 / signal.rate_hz
+        if own_s > SLOWER * step_s:
+            signal = replace(signal, hold=LINEAR)
+            value, _ = signal.at(cycle_s)
+        else:
+            faster = own_s < FASTER * step_s
+            value, _ = signal.at(cycle_s + (own_s if faster else BEHIND * min(own_s, step_s)))
+        known = np.flatnonzero(np.isfinite(value))
+        if len(known):
+            few = math.ceil(FEW_SAMPLES * max(own_s / step_s, 1.0)) if step_s else 0
+            if known[0] <= few:
+                value[: known[0]] = value[known[0]]
+            if len(value) - 1 - known[-1] <= few:
+                value[known[-1] :] = value[known[-1]]
+        for begin_s, end_s in signal.gaps():
+            inside = (cycle_s >= begin_s) & (cycle_s < end_s)
+            if end_s - begin_s <= bridged_s:
+                value[inside] = np.interp(cycle_s[inside], signal.time_s, signal.value)
+        found[:, axes.index(axis)] = value * per_unit[axes.index(axis)]
+    return found
 
 
 def _timing(log: MeasuredLog, axes: Sequence[str], variant: Variant) -> Timing:
@@ -160,29 +325,54 @@ def _timing(log: MeasuredLog, axes: Sequence[str], variant: Variant) -> Timing:
     Return the ticks with which a log is simulated: the twin's own where its controllers are known.
 
     A machine alone has no clock of its own: a whole multiple of the fastest log is taken, so that a
-    slow log is not simulated for nothing. Its phase cycle is one tick.
+    slow log is not simulated for nothing. Its phase cycle is one tick. Described controllers act in
+    every so many ticks. Raises `UserError` for controllers whose rates do not nest.
     """
     if any(variant.pmac.get(axis) or variant.copley.get(axis) for axis in axes):
         return Timing()
     fastest_hz = max(log[axis, 'position'].rate_hz for axis in axes)
     ticks = max(TICKS_PER_READING, math.ceil(LEAST_TICKS_HZ / fastest_hz))
-    return Timing(min(round(ticks * fastest_hz), Timing().current_loop_hz), 1, 1)
+    tick_hz = min(round(ticks * fastest_hz), Timing().current_loop_hz)
+    controllers = variant.description.controllers
+    if not controllers:
+        return Timing(tick_hz, 1, 1)
+    servo_hz = cycle_hz(controllers)
+    for controller in controllers.values():
+        times = servo_hz / controller.rate
+        if abs(times - round(times)) > SAME_RATE * times:
+            raise UserError(
+                f'{variant.name}: the controller of {controller.axis} runs at {controller.rate:g} Hz, '
+                f'another at {servo_hz:g} Hz; the faster must be a whole multiple of the slower'
+            )
+    divider = max(1, math.ceil(tick_hz / servo_hz - SAME_RATE))
+    return Timing(round(divider * servo_hz), 1, divider)
 
 
 def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
     """
     Return the record of a measured log, its channels aligned as far as they tell how.
 
-    Notes say what skew was found and taken out, what clock the commands run by, and what the rate of
-    the log limits. Raises as `record_of_measured_log`.
+    Notes say what skew was found and taken out, what clock the commands run by, how encoders were
+    taken to count, what can be asked of the commands, and what the rate of the log limits. Raises as
+    `record_of_measured_log`.
     """
-    late_s, notes = {}, []
-    for axis in driven_axes(log, variant):
-        position, drive = log[axis, 'position'], drive_of(log, axis)
+    late_s, notes, without = {}, [], []
+    axes = driven_axes(log, variant)
+    for axis in axes:
+        position, drive = log[axis, 'position'], drive_signal(log, variant, axis)
         assert drive is not None
         cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
         found = skew(position, drive, cycle)
         pair = f'{log.name}: {drive.name} against its position'
+        if found is not None and _as_if_held(drive, found):
+            held = replace(drive, hold=ZERO_ORDER)
+            of_held = skew(position, held, cycle)
+            if of_held is not None and not of_held.significant:
+                notes.append(
+                    f'{pair}: {_skew_text(found)} late, half a sample, as of a drive that holds its '
+                    'output: taken as held (hold: linear in the mapping, if not)'
+                )
+                log, found = log.with_signal(held), of_held
         if found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')
         elif found.significant:
@@ -193,17 +383,98 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
+            without.append(axis)
             notes.append(
                 f'{log.name}: {axis} ran {ratio:.3f} times as fast as its commanded position: the time '
                 'base of one of them is wrong; the commanded position was not used'
             )
-    record = record_of_measured_log(log, variant, late_s)
+    counted_log, how = _with_counting(log, variant, axes)
+    record = record_of_measured_log(counted_log, variant, late_s, without)
     limit_hz = PlantBlock(record, variant).observer_hz
     if limit_hz < OBSERVER_HZ:
         notes.append(
             f'{log.name}: its positions come too slowly to show what forces do above {limit_hz:.0f} Hz'
         )
+    notes += [*how, *_of_commands(record, variant, axes)]
     return replace(record, notes=tuple(notes))
+
+
+def _as_if_held(drive: Signal, found: Skew) -> bool:
+    """Return whether a drive that was taken straight is early by half a sample, and nobody said how."""
+    step_s = 1.0 / drive.rate_hz
+    off_s = abs(found.late_s + 0.5 * step_s)
+    unsaid = not drive.held and not drive.hold
+    return unsaid and found.significant and off_s < NEAR_HALF * step_s
+
+
+def _with_counting(
+    log: MeasuredLog, variant: Variant, axes: Sequence[str]
+) -> tuple[MeasuredLog, list[str]]:
+    """
+    Return the log with what is known of how its encoders count, and notes of what they told.
+
+    First what the log says, then the description, then the encoders of an axis beside each other.
+    """
+    notes: list[str] = []
+    changed: dict[tuple[str, str], Signal] = {}
+    for axis in axes:
+        pair = []
+        for signal, place in _positions(log, variant, axis):
+            up = _counts_per_unit(variant, axis, ENCODERS[place], signal.kind) > 0.0
+            own = variant.base.description.encoders[ENCODERS[place]].counting
+            if not signal.counting and own:
+                signal = counted(signal, own, up, [])
+            pair.append((signal, up))
+        if len(pair) == 2 and not any(signal.counting for signal, _ in pair):
+            (position, first), (motor, second) = pair
+            ratio = _motion_ratio(variant, axis)
+            how = told_by_both(position, motor, ratio, (first, second))
+            if how:
+                pair = [(counted(signal, how, up, []), up) for signal, up in pair]
+                does = 'rounded down' if how == FLOOR else 'rounded to the nearest step'
+                notes.append(f'{log.name}: both encoders of {axis} are {does}, as they differ')
+        changed.update({(axis, signal.kind): signal for signal, _ in pair})
+    for signal in changed.values():
+        log = log.with_signal(signal)
+    return log, notes
+
+
+def _motion_ratio(variant: Variant, axis: str) -> float:
+    """Return the motion of an axis' motor per motion of the axis, all connections rigid, signed."""
+    placing = variant.base.rigid.placing
+    motor = placing[places.motor_coordinate(variant, axis)][1]
+    return float(motor / placing[places.coordinate(variant, axis)][1])
+
+
+def _of_commands(record: Record, variant: Variant, axes: Sequence[str]) -> list[str]:
+    """Return notes of what the commands in a record do not allow to ask."""
+    notes = []
+    for axis in axes:
+        if record.path_commanded(axis) is None:
+            notes.append(
+                f'{record.name}: {axis} has no commanded position throughout, so nothing tells what it '
+                'did by command and what by chance: the answer is weaker'
+            )
+        elif axis not in record.controlled:
+            notes.append(
+                f'{record.name}: the model has no controller of {axis}, so its loop is not closed: the '
+                'answer is weaker (describe it in section controllers: docs/controllers.md)'
+            )
+        elif places.described_axes(variant):
+            servo_hz = variant.description.controllers[axis].rate
+            own_s = float(np.median(np.diff(_times_s(record, AXES.index(axis)))))
+            if own_s * servo_hz > SLOWER:
+                notes.append(
+                    f'{record.name}: {axis} was logged every {1e3 * own_s:.3g} ms, its controller acts '
+                    f'every {1e3 / servo_hz:.3g} ms: its loop is closed, but it is not looked at alone'
+                )
+    return notes
+
+
+def _times_s(record: Record, place: int) -> Array:
+    """Return the times of an encoder's readings in a record, s."""
+    rows = np.flatnonzero(np.isfinite(record.reading[:, place]))
+    return np.asarray(rows / record.timing.encoder_hz)
 
 
 def _skew_text(found: Skew) -> str:

@@ -76,23 +76,34 @@ def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
     timing = ideal.timing
     place, name = AXES.index(axis), POSITION_ENCODER[axis]
     rate_hz = timing.encoder_hz
-    counts = ideal.reading[:, ENCODERS.index(name)]
+    counts = _without_gaps(ideal.reading[:, ENCODERS.index(name)])
     position = _smooth(counts - counts[0], rate_hz)
     speed = change(position, rate_hz)
-    currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
-    currents = currents[: len(position)]  # the last tick may be without a reading
     gain = 0.0
     if axis in motor_axes(nominal):
         gain = nominal.description.motors[axis].electrical_gain * motor_ratio(nominal, axis)
         gain /= nominal.description.encoders[name].counts_per_unit
+    angle = gain * (counts[0] + position)
+    currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
+    currents = currents[: len(position)]  # the last tick may be without a reading
+    if ideal.current is not None and not np.isfinite(currents).any():
+        driving = ideal.current[:: timing.encoder_divider, place][: len(position)]
+        lines = [driving * np.sin(angle - 2.0 * np.pi * line / 3.0) for line in range(2)]
+        currents = np.column_stack(lines)
     return Motion(
         rate_hz,
         position,
         speed,
         change(speed, rate_hz),
         (_smooth(currents[:, 0], rate_hz), _smooth(currents[:, 1], rate_hz)),
-        gain * (counts[0] + position),
+        angle,
     )
+
+
+def _without_gaps(counts: Array) -> Array:
+    """Return readings (n,) with the rows that an imported log leaves empty taken straight."""
+    known = np.flatnonzero(np.isfinite(counts))
+    return np.interp(np.arange(len(counts)), known, counts[known])
 
 
 def motions(

@@ -305,21 +305,12 @@ class PlantBlock:
     ) -> None:
         """Begin with the position and speed of the first readings, and no spring stretched by them."""
         s, p = state[0], parameters[0]
-        timing = self.record.timing
-        step_s = timing.encoder_divider * timing.tick_s
         for place in self._places:
             if not together[place].any() or behind[place, 0] >= 0:
                 continue
-            reading = self.record.reading[:, place]
-            rows = np.flatnonzero(np.isfinite(reading))
-            within = rows - rows[0] < timing.encoder_hz / self._observer_hz[place]
-            few = rows[within][:40]
-            slope, start = np.polyfit(few * step_s, reading[few], 1)
+            start, slope = self.record.first_motion(place, 1.0 / self._observer_hz[place])
             per_unit = p['counts_per_unit'][place]
             coordinate = p['encoder_coordinate'][place]
-            travel = abs(slope) * (few[-1] - few[0]) * step_s
-            if travel < 3.0 * self.record.resolution[place]:  # it stands
-                slope, start = 0.0, float(np.mean(reading[few]))
             missing = start / per_unit - s['position'][coordinate]
             s['position'][: together.shape[1]] += together[place] * missing
             missing = slope / per_unit - s['velocity'][coordinate]

@@ -17,7 +17,7 @@ from waferbot_twin.effects.variant import Itself, Variant
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.noise_model.prediction_error import Fit, Noise, likelihood
 from waferbot_twin.residuals.closed_loop_record import simulate
-from waferbot_twin.residuals.controller_block import ControllerBlock
+from waferbot_twin.residuals.controller_block import controller_block
 from waferbot_twin.residuals.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.record import Array, Record
@@ -36,6 +36,9 @@ PLAIN = 30.0
 
 ELECTRICAL = frozenset({'motors', 'current_sensors', 'encoders', 'feedback'})
 """The sections of a description that the windings depend on: the motion is measured, by encoders."""
+
+DESCRIBED = 'controllers'
+"""The section of a description that has controllers: no part of the plant."""
 
 
 class BlockOfLog(Protocol):
@@ -129,8 +132,10 @@ class Problem:
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
-            if record.commanded is not None and record.command is not None:
-                self.blocks[CONTROLLER].append(ControllerBlock(record, nominal))
+            if record.has_controller:
+                controller = controller_block(record, nominal)
+                if controller.channels:
+                    self.blocks[CONTROLLER].append(controller)
             self._add_drive(record)
 
     def _add_drive(self, record: Record) -> None:
@@ -152,9 +157,9 @@ class Problem:
         """Return the blocks that an effect can change: those that read what its overlay says."""
         overlay = effect.overlay(self.nominal, axis, effect.typical(self.nominal, axis))
         found = []
-        if overlay.machine:
+        if overlay.machine.keys() - {DESCRIBED}:
             found.append(PLANT)
-        if overlay.pmac:
+        if overlay.pmac or DESCRIBED in overlay.machine:
             found.append(CONTROLLER)
         if overlay.copley:
             found.append(AMPLIFIER)
@@ -187,9 +192,9 @@ class Problem:
         """
         Return the same problem with the noise-free logs of the model with these causes.
 
-        None if a log does not have what it was commanded.
+        None if the loop of a log cannot be closed: what was commanded or the controller is unknown.
         """
-        if any(record.commanded is None for record in self.records):
+        if not all(record.closes_loop for record in self.records):
             return None
         variant = apply_all(self.nominal, causes)
         return Problem(self.nominal, [simulate(variant, record) for record in self.records])

@@ -8,10 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import ENCODERS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.timing import Timing
 
 Array = NDArray[np.float64]
+
+FIRST_READINGS = 40
+"""Readings at most that tell how a log begins."""
+
+STANDS_STEPS = 3.0
+"""What goes by less than so many steps of its encoder then stands."""
 
 
 @dataclass(frozen=True)
@@ -42,20 +48,29 @@ class Record:
     line_current  (ticks, 6) A, lines 1 and 2 of each motor as measured, mean over each tick; NaN for a
                   motor of which nothing is known
     reading       (rows, 4) counts of each encoder as published at encoder ticks, NaN where missing
-    commanded     (cycles, 3) counts, commanded position at servo ticks, or None
-    command       (cycles, 3) A, current command at servo ticks, or None
+    commanded     (cycles, 3) counts, commanded position at servo ticks, NaN for an axis of which it is
+                  not known; or None
+    command       (cycles, 3) A, current command at servo ticks, likewise
     terminals     what was measured at the amplifiers' terminals, or None
 
     current       (ticks, 3) A, the part of each motor's current that makes force, mean over each tick;
                   it drives motors whose line currents are not known; NaN or None where that is neither
     late_s        (rows, 4) s, how much after the tick of its row a reading was taken; None: not at all
     resolution    smallest step of each encoder's readings, counts
+    half_step     counts that were added to what each encoder published, so that readings are right on
+                  average: half a step of those that an imported log has rounded down
+    counted       whether each encoder's readings are whole steps of its resolution
+    controlled    the axes whose controller the model knows
     notes         what a reader of the results should know of the log
 
     `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
     have a reading in every row: `late_s` and gaps of NaN keep the times at which it was really measured.
     What lies before `judged_from_s` is simulated, so that the machine is in the state that it had by
     then, but not judged.
+
+    That a log tells what was commanded does not mean that anything is known of the controller. Ask
+    `has_commanded` (does what is left over follow the command?), `has_controller` (can controllers be
+    replayed alone?) or `closes_loop` (can the model do what the machine was told to do?).
     """
 
     name: str
@@ -70,7 +85,44 @@ class Record:
     current: Array | None = None
     late_s: Array | None = None
     resolution: tuple[float, ...] = (1.0,) * len(ENCODERS)
+    half_step: tuple[float, ...] = (0.0,) * len(ENCODERS)
+    counted: tuple[bool, ...] = (True,) * len(ENCODERS)
+    controlled: tuple[str, ...] = AXES
     notes: tuple[str, ...] = ()
+
+    @property
+    def is_imported(self) -> bool:
+        """Whether it is of a log that was imported, with times and units of its own."""
+        return self.current is not None
+
+    @property
+    def has_commanded(self) -> bool:
+        """Whether the log tells what any axis was commanded."""
+        return self.commanded is not None
+
+    def path_commanded(self, axis: str) -> Array | None:
+        """Return what an axis was commanded at servo ticks (cycles,), counts; None if unknown."""
+        if self.commanded is None:
+            return None
+        path = self.commanded[:, AXES.index(axis)]
+        return path if np.isfinite(path).all() else None
+
+    @property
+    def has_controller(self) -> bool:
+        """Whether the log has what a known controller was given and what it made of it."""
+        return self.commanded is not None and self.command is not None and bool(self.controlled)
+
+    @property
+    def closes_loop(self) -> bool:
+        """Whether every axis that the log shows was commanded, by a controller that is known."""
+        if self.commanded is None:
+            return False
+        axes = {
+            AXIS_OF[name]
+            for place, name in enumerate(ENCODERS)
+            if np.isfinite(self.reading[:, place]).any()
+        }
+        return axes <= set(self.controlled)
 
     @property
     def ticks(self) -> int:
@@ -81,6 +133,27 @@ class Record:
     def duration_s(self) -> float:
         """How long the log is, s."""
         return self.timing.seconds(self.ticks)
+
+    def first_motion(self, place: int, within_s: float, degree: int = 1) -> tuple[float, float]:
+        """
+        Return position (counts) and speed (counts/s) of an encoder when the log begins.
+
+        By a polynomial through the readings of so long, at most `FIRST_READINGS`; what does not go by
+        some steps stands.
+        """
+        reading = self.reading[:, place]
+        step_s = self.timing.encoder_divider * self.timing.tick_s
+        rows = np.flatnonzero(np.isfinite(reading))
+        few = rows[rows - rows[0] < self.timing.encoder_hz * within_s][:FIRST_READINGS]
+        if len(few) <= degree:
+            return float(reading[rows[0]]), 0.0
+        *_, slope, start = np.polyfit(few * step_s, reading[few], degree)
+        travel = abs(slope) * (few[-1] - few[0]) * step_s
+        if degree > 1:
+            travel = float(np.ptp(reading[few]))
+        if travel < STANDS_STEPS * self.resolution[place]:
+            return float(np.mean(reading[few])), 0.0
+        return float(start), float(slope)
 
     def with_encoder_ticks(self) -> Record:
         """

@@ -2,10 +2,11 @@
 """
 What an extension gains: nominal and extended model against logs that were not used for the fit.
 
-Error is simulated less measured position, its RMS by (4.2), the improvement by (6.1). With commanded
-positions the closed loop is simulated; without them the plant is driven by the measured currents, and
-the error is the innovation of an observer that is much slower than the one of the search: it leaves
-the model alone for about as long as `FREE_S`, and holds no more than its drift.
+Error is simulated less measured position, its RMS by (4.2), the improvement by (6.1). Where the log has
+commanded positions and the controller is known, the closed loop is simulated; otherwise the plant is
+driven by the measured currents, and the error is the innovation of an observer that is much slower
+than the one of the search: it leaves the model alone for about as long as `FREE_S`, and holds no more
+than its drift.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> lis
 
 
 def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisGain]:
-    closed_loop = record.commanded is not None
+    closed_loop = record.closes_loop
     errors = (_closed_loop_errors if closed_loop else _plant_errors)(nominal, extended, record)
     found = []
     for place, axis in enumerate(AXES):

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+How drive signals go between samples, and how positions count: findings that once were taken for causes.
+
+A drive that holds its current between samples, taken straight, is half a sample late; two encoders that
+both round down differ by half a step. The motions are exact, so that nothing else is left over.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from waferbot_lockstep.errors import UserError
+from waferbot_plant.plant import find_description
+from waferbot_twin.cli.main import main
+from waferbot_twin.effects import places
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.archive import write_archive
+from waferbot_twin.logs.load import load_log
+from waferbot_twin.logs.mapping import mapping_text
+from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.models import load_model_or_machine
+from waferbot_twin.residuals.from_measured_log import aligned_record, record_of_measured_log
+from waferbot_twin.residuals.plant_block import PlantBlock
+
+INERTIA = 2.5e-4  # kg m2, of the direct-drive motor
+MAPPING = """
+machine: direct_drive_motor
+time: {column: time, unit: s}
+signals:
+  - {column: angle, kind: position, axis: x_rotate, unit: rad, resolution: 1.0e-6}
+  - {column: torque, kind: torque, axis: x_rotate, unit: Nm}
+"""
+
+
+@pytest.fixture
+def random():
+    seed = int(os.environ.get('WAFERBOT_SEED', '7'))
+    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
+    return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope='module')
+def motor():
+    return Variant.of(load_model_or_machine('direct_drive_motor'))
+
+
+def held_drive(random, folder, samples_per_cycle=1, cycles=1200, cycle_s=4e-3):
+    """Write the log of a rotor on a torque that is held over each cycle; return the file."""
+    step_s = cycle_s / samples_per_cycle
+    moves = expm(np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0 / INERTIA], [0.0] * 3]) * step_s)
+    torques = 0.02 * random.standard_normal(cycles)
+    state, rows = np.zeros(2), []
+    for cycle, torque in enumerate(torques):
+        torque -= 4e-3 * state[1] + 0.02 * state[0]
+        for sample in range(samples_per_cycle):
+            rows.append(((cycle * samples_per_cycle + sample) * step_s, state[0], torque))
+            state = moves[:2] @ [*state, torque]
+    file = folder / 'log.csv'
+    np.savetxt(file, rows, delimiter=',', comments='', header='time,angle,torque', fmt='%.12g')
+    return file
+
+
+def left_over(log, variant):
+    (found,) = PlantBlock(record_of_measured_log(log, variant), variant).residuals(variant)
+    return float(np.std(found))
+
+
+def mapped(file, more=''):
+    text = MAPPING.replace('unit: Nm}', f'unit: Nm{more}}}')
+    return load_log(file, mapping_text(text))
+
+
+def test_a_held_drive_is_held_if_the_mapping_says_so(random, motor, tmp_path) -> None:
+    file = held_drive(random, tmp_path)
+    straight, held = mapped(file), mapped(file, ', hold: zero_order')
+    assert not straight['x_rotate', 'force'].held
+    assert held['x_rotate', 'force'].held
+    assert left_over(held, motor) < 0.02 * left_over(straight, motor)
+    notes = aligned_record(held, motor).notes
+    assert any('not significant' in note for note in notes)
+
+
+def test_a_held_drive_is_found_by_its_half_sample(random, motor, tmp_path) -> None:
+    file = held_drive(random, tmp_path)
+    found = aligned_record(mapped(file), motor)
+    assert any('taken as held' in note for note in found.notes)
+    said = aligned_record(mapped(file, ', hold: zero_order'), motor)
+    assert found.current.tobytes() == said.current.tobytes()
+    straight = aligned_record(mapped(file, ', hold: linear'), motor)
+    assert not any('taken as held' in note for note in straight.notes)
+    assert any('moved by that' in note for note in straight.notes)
+
+
+def test_a_log_that_is_faster_than_its_drive_tells_it_itself(random, motor, tmp_path) -> None:
+    file = held_drive(random, tmp_path, samples_per_cycle=3, cycles=400)
+    log = mapped(file)
+    assert log['x_rotate', 'force'].held
+    assert any('stands for 3 samples' in str(finding) for finding in log.findings)
+    linear = mapped(file, ', hold: linear')
+    assert not linear['x_rotate', 'force'].held
+    assert left_over(log, motor) < 0.1 * left_over(linear, motor)
+
+
+def test_a_measured_current_with_steps_is_not_taken_for_held(random, tmp_path) -> None:
+    time_s = 1e-3 * np.arange(4000)
+    smooth = np.cumsum(random.standard_normal(4000)) * 0.02
+    coarse = np.round(smooth / 0.05) * 0.05
+    rows = np.column_stack([time_s, np.sin(time_s), coarse])
+    file = tmp_path / 'log.csv'
+    np.savetxt(file, rows, delimiter=',', comments='', header='time,angle,torque', fmt='%.9g')
+    assert np.median(np.diff(np.flatnonzero(np.diff(coarse)))) > 1
+    assert not mapped(file)['x_rotate', 'force'].held
+
+
+def test_how_a_signal_goes_survives_the_archive_and_is_printed(tmp_path, capsys) -> None:
+    time_s = 1e-3 * np.arange(100)
+    signals = (
+        Signal('position', 'x_rotate', 'rad', time_s, time_s, 1e-4, counting='floor', half_step=5e-5),
+        Signal('current', 'x_rotate', 'A', time_s, time_s, hold='zero_order'),
+        Signal('current_command', 'x_rotate', 'A', time_s, time_s),
+    )  # fmt: skip
+    log = MeasuredLog('log', signals)
+    write_archive(log, tmp_path / 'kept')
+    back = load_log(tmp_path / 'kept')
+    for one, other in zip(log.signals, back.signals, strict=True):
+        assert (one.hold, one.held, one.counting, one.half_step) == (
+            other.hold, other.held, other.counting, other.half_step,
+        )  # fmt: skip
+    assert main(['import', str(tmp_path / 'kept'), '--out', str(tmp_path / 'again')]) == 0
+    printed = capsys.readouterr().out
+    assert 'held between samples: x_rotate.current_command, x_rotate.current' in printed
+    assert 'straight between samples: x_rotate.position' in printed
+    assert 'rounded down: x_rotate.position' in printed
+
+
+def test_words_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(UserError, match=r'hold.*zero_order, linear'):
+        mapping_text(MAPPING.replace('unit: Nm}', 'unit: Nm, hold: cubic}'))
+    with pytest.raises(UserError, match=r'counting.*is not counted'):
+        mapping_text(MAPPING.replace('unit: Nm}', 'unit: Nm, counting: floor}'))
+
+
+TWO_ENCODERS = """
+extends: {base}
+feedback: {{delay_cycles: 0}}
+gravity_m_s2: [0, 0, 0]
+encoders:
+  y_rotate_load: {{counts_per_revolution: 2000}}
+  y_rotate_motor: {{coordinate: motor_angle, counts_per_revolution: 1024}}
+"""
+RATIO = 6.0
+LOAD, MOTOR = 2.0 * np.pi / 2000.0, 2.0 * np.pi / 1024.0  # rad, a count of each
+
+
+@pytest.fixture
+def geared(tmp_path):
+    file = tmp_path / 'geared.yaml'
+    file.write_text(TWO_ENCODERS.format(base=find_description('geared_pendulum')), 'utf-8')
+    return Variant.of(load_model_or_machine(str(file)))
+
+
+def two_encoders(random, variant, count, **how):
+    """Return a log of a geared axis; `count(value, step)` makes steps of both its encoders."""
+    time_s = 1e-3 * np.arange(4000)
+    wave = 2.0 * np.pi * random.uniform(0.3, 2.0, 5)
+    phase = random.uniform(0.0, 2.0 * np.pi, 5)
+    angle = np.sin(np.outer(time_s, wave) + phase) @ (1.0 / wave)
+    rate = -np.sin(np.outer(time_s, wave) + phase) @ wave
+    inertia = places.moving_inertia(variant, 'y_rotate')
+    return MeasuredLog(
+        'log',
+        (
+            Signal('position', 'y_rotate', 'rad', time_s, count(angle, LOAD), LOAD, **how),
+            Signal(
+                'motor_position', 'y_rotate', 'rad', time_s, count(RATIO * angle, MOTOR), MOTOR
+            ),
+            Signal('force', 'y_rotate', 'Nm', time_s, inertia * rate),
+        ),
+    )
+
+
+def floor(value, step):
+    return step * np.floor(value / step)
+
+
+def nearest(value, step):
+    return step * np.round(value / step)
+
+
+def mean_of_motor(record, variant):
+    """Return the mean innovation of the motor's encoder, in its steps."""
+    block = PlantBlock(record, variant)
+    (found,) = (
+        left
+        for name, left in zip(block.channels, block.residuals(variant), strict=True)
+        if name == 'y_rotate_motor'
+    )
+    return float(np.mean(found))
+
+
+@pytest.mark.parametrize('count', [floor, nearest])
+def test_two_encoders_tell_how_they_count_and_leave_nothing(random, geared, count) -> None:
+    log = two_encoders(random, geared, count)
+    record = aligned_record(log, geared)
+    assert abs(mean_of_motor(record, geared)) < 0.05
+    word = 'rounded down' if count is floor else 'rounded to the nearest'
+    assert any(word in note for note in record.notes)
+    raw = mean_of_motor(record_of_measured_log(log, geared), geared)
+    half = 0.5 * (LOAD * RATIO / MOTOR - 1.0)  # by which floored counts differ, in motor steps
+    assert raw == pytest.approx(half if count is floor else 0.0, abs=0.05)
+
+
+def test_what_the_description_says_of_counting_is_used(random, geared) -> None:
+    log = two_encoders(random, geared, floor)
+    encoders = {
+        place: {**values, 'counting': 'floor'} for place, values in geared.machine['encoders'].items()
+    }  # fmt: skip
+    said = replace(geared, machine={**geared.machine, 'encoders': encoders})
+    record = aligned_record(log, said)
+    assert record.half_step[2:] == pytest.approx((0.5, 0.5))
+    assert not any('as they differ' in note for note in record.notes)
+    assert abs(mean_of_motor(record, said)) < 0.05
+
+
+@pytest.mark.parametrize(('sign', 'half'), [(1, 0.5), (-1, -0.5)])
+def test_a_reversed_column_is_rounded_the_other_way(tmp_path, sign, half) -> None:
+    rows = [(1e-3 * k, k // 3, 0.01 * (k % 7)) for k in range(100)]
+    file = tmp_path / 'log.csv'
+    np.savetxt(file, rows, delimiter=',', comments='', header='time,angle,torque', fmt='%.9g')
+    counting = f'unit: counts, counting: floor, sign: {sign}'
+    text = MAPPING.replace('unit: rad, resolution: 1.0e-6', counting)
+    position = load_log(file, mapping_text(text))['x_rotate', 'position']
+    assert position.counting == 'floor'
+    assert position.half_step == pytest.approx(half * 2.0 * np.pi / 8192.0)
+
+
+def test_averaged_counts_are_half_a_count_low_and_no_lattice(tmp_path) -> None:
+    rows = [
+        (1e-3 * k, np.floor(0.37 * k + np.arange(4) / 10.0).mean(), 0.01 * (k % 7))
+        for k in range(200)
+    ]
+    file = tmp_path / 'log.csv'
+    np.savetxt(file, rows, delimiter=',', comments='', header='time,angle,torque', fmt='%.9g')
+    text = MAPPING.replace('unit: rad, resolution: 1.0e-6', 'unit: counts, counting: average')
+    log = load_log(file, mapping_text(text))
+    assert log['x_rotate', 'position'].half_step == pytest.approx(np.pi / 8192.0)
+    assert not [finding for finding in log.findings if finding.action == 'suspect']

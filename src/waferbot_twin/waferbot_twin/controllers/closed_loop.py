@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The closed loop of a plant and described controllers, compiled, without any noise.
+
+Within a tick: encoders are read; controllers compute, where it is a cycle of theirs; the plant moves on
+under what they put out `delay` ago, held until the next output takes its place. The drive does at once
+what it is told, as it is taken to do where a log has no more than its command. An axis without a
+controller stands still. Controllers see what
+encoders show at that tick (later by what an encoder is late beyond the others), in the whole steps in
+which the log counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_plant import encoders, motors, plant
+from waferbot_twin.controllers import law
+from waferbot_twin.effects import places
+from waferbot_twin.effects.variant import Variant, built
+
+Array = NDArray[np.float64]
+
+LOOK_TICKS = 180
+"""Ticks between two looks whether the plant blew up."""
+
+
+@dataclass(frozen=True)
+class Counting:
+    """
+    How each encoder's readings become steps, by its place.
+
+    `step` in counts, 0 where readings are not counted in steps; `down` (0 or 1) whether they are rounded
+    down rather than to the nearest.
+    """
+
+    step: Array
+    down: Array
+
+
+@dataclass(frozen=True)
+class Begin:
+    """
+    How the axes begin (3,): m or rad, m/s or rad/s, and two currents in A.
+
+    `integral` is what integrators make of the output, `current` what was put out before it all.
+    """
+
+    position: Array
+    velocity: Array
+    integral: Array
+    current: Array
+
+
+@dataclass(frozen=True)
+class Run:
+    """
+    Signals of a run without noise.
+
+    seen      (ticks, 4) counts that encoders see at every tick, without steps, not yet published
+    speed     (ticks, 4) counts per second, of that
+    current   (ticks, 3) A, over each tick
+    command   (cycles, 3) A, what controllers computed
+    """
+
+    seen: Array
+    speed: Array
+    current: Array
+    command: Array
+
+
+def run(
+    variant: Variant, timing: Timing, commanded: Array, begin: Begin, counting: Counting
+) -> Run:
+    """
+    Run the closed loop of a variant over commanded positions (cycles, 3), m or rad.
+
+    The servo of `timing` is the fastest of the described controllers, and its encoders are read at every
+    tick. Raises `UserError` if the loop is unstable.
+    """
+    controllers = variant.description.controllers
+    machine = built(variant, timing)
+    parameters = machine.parameters()
+    there = {
+        axis: float(begin.position[place])
+        for place, axis in enumerate(AXES)
+        if axis in variant.description.axes
+    }
+    state = machine.initial_state(parameters, there, holding=True)
+    _set_off(state, variant, machine.coordinates, begin.velocity)
+    amperes = np.array(
+        [places.amperes_per_output(variant, a) if a in controllers else 0.0 for a in AXES]
+    )
+    delays = [timing.ticks(controllers[a].delay) if a in controllers else 0 for a in AXES]
+    ticks = len(commanded) * timing.servo_divider
+    result = Run(
+        np.zeros((ticks, len(ENCODERS))),
+        np.zeros((ticks, len(ENCODERS))),
+        np.zeros((ticks, len(AXES))),
+        np.zeros(commanded.shape),
+    )
+    integral = np.divide(begin.integral, amperes, out=np.zeros(len(AXES)), where=amperes != 0.0)
+    tick, coordinate = _advance(
+        state,
+        parameters,
+        law.initial_state(),
+        law.law_parameters(controllers),
+        np.ascontiguousarray(commanded),
+        begin.velocity,
+        integral,
+        begin.current,
+        amperes,
+        np.array(delays),
+        timing.servo_divider,
+        places.counts_per_unit(variant),
+        variant.description.encoder_delay,
+        counting.step,
+        counting.down,
+        _standing(variant, parameters[0], len(machine.coordinates)),
+        np.zeros(3 * motors.MOTORS),
+        result.seen,
+        result.speed,
+        result.current,
+        result.command,
+    )
+    if coordinate >= 0:
+        raise UserError(f'{variant.name}: {machine.runaway_message(coordinate, tick)}')
+    return result
+
+
+def _set_off(
+    state: np.ndarray, variant: Variant, coordinates: tuple[str, ...], velocity: Array
+) -> None:
+    """Give all that moves with each axis, as long as nothing gives, the axis' velocity."""
+    placing = variant.rigid.placing
+    for place, axis in enumerate(AXES):
+        if axis not in variant.base.description.axes:
+            continue
+        what, own = placing[places.coordinate(variant, axis)]
+        for row, name in enumerate(coordinates):
+            if name in placing and placing[name][0] == what:
+                state[0]['velocity'][row] += placing[name][1] / own * velocity[place]
+
+
+def _standing(variant: Variant, p: np.void, coordinates: int) -> NDArray[np.bool_]:
+    """Return which coordinates are those of an axis without a controller: it stands where it is."""
+    description = variant.description
+    standing = np.zeros(coordinates, np.bool_)
+    for place, axis in enumerate(AXES):
+        if axis in description.axes and axis not in description.controllers:
+            standing[p['axis_coordinate'][place]] = True
+            if axis in description.motors:
+                standing[p['motor_coordinate'][place]] = True
+    return standing
+
+
+@compiled
+def in_steps(seen, step, down):
+    """Return counts in whole steps, rounded down or to the nearest; as they are if `step` is 0."""
+    if step == 0.0:
+        return seen
+    return step * np.floor(seen / step + 0.5 * (1.0 - down))
+
+
+@compiled
+def _advance(
+    state,
+    parameters,
+    law_state,
+    law_parameters,
+    commanded,
+    velocity,
+    integral,
+    current,
+    amperes,
+    delays,
+    divider,
+    per_unit,
+    common_delay,
+    count_step,
+    down,
+    standing,
+    no_voltage,
+    seen_out,
+    speed_out,
+    current_out,
+    command_out,
+):
+    """
+    Run the loop; fill the arrays of `Run`. Returns tick and coordinate of a runaway, or the end and -1.
+
+    `velocity`, `integral` (in units of the output) and `current` (3,) as in `Begin`; `amperes` (3,) per
+    unit of the output; `standing` (n,) coordinates that do not move; `delays` (3,) ticks; `per_unit`
+    (3,) counts; `count_step`, `down` (4,) as `Counting` has them.
+    """
+    s = state[0]
+    p = parameters[0]
+    axes = len(per_unit)
+    position = np.zeros(axes)
+    output = np.zeros(axes)
+    start = s['position'].copy()
+    for motor in range(motors.MOTORS):
+        s['terminals_open'][motor] = 1
+    for axis in range(axes):
+        for tick in range(min(delays[axis], len(current_out))):
+            current_out[tick, axis] = current[axis]
+    for tick in range(len(seen_out)):
+        for encoder in range(seen_out.shape[1]):
+            counts = p['counts_per_unit'][encoder]
+            if counts != 0.0:
+                seen_out[tick, encoder] = encoders.seen_counts(s, p, encoder)
+                speed = s['velocity'][p['encoder_coordinate'][encoder]]
+                speed_out[tick, encoder] = counts * speed
+        if tick % divider == 0:
+            cycle = tick // divider
+            for axis in range(axes):
+                later = p['encoder_delay'][axis] - common_delay
+                own = count_step[axis]
+                if p['coarseness'][axis] > 1.0:
+                    own = max(own, p['coarseness'][axis])
+                seen = in_steps(seen_out[max(tick - later, 0), axis], own, down[axis])
+                position[axis] = seen / per_unit[axis]
+            if cycle == 0:
+                law.prime(law_state, law_parameters, commanded[0], position, velocity, integral)
+            law.step(law_state, law_parameters, commanded[cycle], position, output)
+            for axis in range(axes):
+                command_out[cycle, axis] = output[axis] * amperes[axis]
+                first = tick + delays[axis]
+                for row in range(first, min(first + divider, len(current_out))):
+                    current_out[row, axis] = command_out[cycle, axis]
+        for row in range(len(s['external_force'])):
+            s['external_force'][row] = 0.0
+        for motor in range(motors.MOTORS):
+            if p['winding'][motor] == motors.NONE:
+                continue
+            coordinate = p['motor_coordinate'][motor]
+            ratio = p['motor_ratio'][motor]
+            middle = s['position'][coordinate] + 0.5 * p['step'] * s['velocity'][coordinate]
+            angle = p['electrical_gain'][motor] * ratio * middle
+            force = motors.force_at_angle(p, motor, angle, current_out[tick, motor], 0.0)
+            s['external_force'][coordinate] += ratio * force
+        if tick % LOOK_TICKS == 0:
+            coordinate = plant.runaway(state)
+            if coordinate >= 0:
+                return tick, coordinate
+        plant.advance(state, parameters, no_voltage)
+        for coordinate in range(len(standing)):
+            if standing[coordinate]:
+                s['position'][coordinate] = start[coordinate]
+                s['velocity'][coordinate] = 0.0
+    return len(seen_out), -1
