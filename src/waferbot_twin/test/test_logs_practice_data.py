@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The two measured data sets of docs/logs.md, read from the folder that WAFERBOT_DATA names.
+Two of the measured data sets of docs/real_data.md, read from the folder that WAFERBOT_DATA names.
 
 What is known of them was found by others, or follows from a quick fit that is written out here.
 """
@@ -23,7 +23,8 @@ from waferbot_twin.logs.load import load_log
 DATA = os.environ.get('WAFERBOT_DATA', '')
 
 pytestmark = pytest.mark.skipif(
-    not DATA, reason='WAFERBOT_DATA does not name the folder of the measured data (docs/logs.md)'
+    not DATA,
+    reason='WAFERBOT_DATA does not name the folder of the measured data (docs/real_data.md)',
 )
 
 

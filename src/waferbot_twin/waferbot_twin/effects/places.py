@@ -33,6 +33,12 @@ def motor_axes(variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in variant.base.description.motors)
 
 
+def wound_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes whose motor's windings are known, not its force per ampere alone."""
+    known = variant.base.description.motors
+    return tuple(axis for axis in motor_axes(variant) if not known[axis].by_force)
+
+
 def controlled_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose controller is known."""
     return tuple(axis for axis in motor_axes(variant) if variant.pmac.get(axis))

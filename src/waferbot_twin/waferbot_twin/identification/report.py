@@ -148,7 +148,9 @@ def write(result: Identification, folder: Path) -> None:
     (folder / 'report.json').write_text(as_json(finite(as_dict(result))) + '\n', 'utf-8')
     names = ', '.join(parameter.path for parameter in result.estimate.parameters)
     header = f'# The model {result.nominal.name} with identified parameters: {names}.\n'
-    (folder / 'identified.yaml').write_text(header + result.identified.model().text, 'utf-8')
+    identified = result.identified
+    text = identified.machine_text if identified.is_machine_alone else identified.model().text
+    (folder / 'identified.yaml').write_text(header + text, 'utf-8')
     (folder / 'report.html').write_text(page(result), 'utf-8')
 
 

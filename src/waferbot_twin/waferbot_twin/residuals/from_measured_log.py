@@ -31,7 +31,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, skew
+from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, common_skew
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -170,26 +170,55 @@ def _timing(log: MeasuredLog, axes: Sequence[str], variant: Variant) -> Timing:
 
 
 def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
-    """
-    Return the record of a measured log, its channels aligned as far as they tell how.
+    """Return the record of a measured log by itself; see `aligned_records`."""
+    (record,) = aligned_records([log], variant)
+    return record
 
-    Notes say what skew was found and taken out, what clock the commands run by, and what the rate of
-    the log limits. Raises as `record_of_measured_log`.
+
+def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Record]:
     """
+    Return the records of measured logs, their channels aligned as far as they tell how.
+
+    How late the drive of an axis stands is found from all logs with that kind of drive together: it
+    is the logger's, not the motion's. Notes say what skew was found and taken out, what clock the
+    commands run by, and what the rate of a log limits. Raises as `record_of_measured_log`.
+    """
+    axes_of = [driven_axes(log, variant) for log in logs]
+    pairs: dict[tuple[str, str], list[tuple[Signal, Signal]]] = {}
+    for log, axes in zip(logs, axes_of, strict=True):
+        for axis in axes:
+            drive = drive_of(log, axis)
+            assert drive is not None
+            pairs.setdefault((axis, drive.kind), []).append((log[axis, 'position'], drive))
+    skews = {
+        (axis, kind): common_skew(
+            those, places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
+        )
+        for (axis, kind), those in pairs.items()
+    }
+    return [_aligned(log, axes, variant, skews) for log, axes in zip(logs, axes_of, strict=True)]
+
+
+def _aligned(
+    log: MeasuredLog,
+    axes: Sequence[str],
+    variant: Variant,
+    skews: Mapping[tuple[str, str], Skew | None],
+) -> Record:
+    """Return the record of a log whose skews, by axis and kind of drive, are known."""
     late_s, notes = {}, []
-    for axis in driven_axes(log, variant):
+    for axis in axes:
         position, drive = log[axis, 'position'], drive_of(log, axis)
         assert drive is not None
-        cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
-        found = skew(position, drive, cycle)
+        found = skews[axis, drive.kind]
         pair = f'{log.name}: {drive.name} against its position'
         if found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')
         elif found.significant:
             late_s[axis] = found.late_s
-            notes.append(f'{pair}: {_skew_text(found)} late, moved by that')
+            notes.append(f'{pair}: {found} late, moved by that')
         else:
-            notes.append(f'{pair}: {_skew_text(found)} late, not significant')
+            notes.append(f'{pair}: {found} late, not significant')
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
@@ -204,10 +233,6 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
             f'{log.name}: its positions come too slowly to show what forces do above {limit_hz:.0f} Hz'
         )
     return replace(record, notes=tuple(notes))
-
-
-def _skew_text(found: Skew) -> str:
-    return f'{1e3 * found.late_s:.2f} ± {2e3 * found.standard_error_s:.2f} ms'
 
 
 def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
