@@ -75,10 +75,10 @@ def test_a_known_machine_comes_out(random) -> None:
         'coulomb': COULOMB,
         'offset': OFFSET,
     }
-    assert values(found) == pytest.approx(expected, rel=0.01)
     for name, value in expected.items():
         place = found.names.index(name)
         assert abs(found.value[place] - value) < 4.0 * found.standard_error[place]
+        assert found.high95[place] - value < 0.1 * abs(value)
 
 
 @settings(deadline=None, max_examples=25)
@@ -209,13 +209,13 @@ def test_noise_of_the_position_is_seen_and_lowers_the_cut_off(random) -> None:
 
 
 def test_a_resonance_lowers_the_cut_off(random) -> None:
-    """A second mass on a spring, 8 Hz: above that only half of the mass is left."""
+    """A second mass on a spring, 5 Hz: nearer to that the axis seems heavier, above it lighter."""
     motion = Motion(random)
     time_s = np.arange(0.0, 20.0, STEP_S)
-    omega = 2.0 * np.pi * 8.0
+    omega = 2.0 * np.pi * 5.0
     position, acceleration = motion(0, time_s), motion(2, time_s)
     wave = 2.0 * np.pi * np.array([17.0, 21.0, 26.0])
-    size = np.array([0.3, 0.3, 0.3])
+    size = np.array([0.6, 0.6, 0.6])
     for one, amplitude in zip(wave, size, strict=True):
         position = position - amplitude / one**2 * np.sin(one * time_s)
     load = 0.5 * MASS
