@@ -9,6 +9,7 @@ import plant_machines as machines
 import pytest
 
 from waferbot_lockstep.errors import UserError
+from waferbot_plant import motors
 from waferbot_plant.description_file import load_description
 
 
@@ -95,3 +96,50 @@ def test_what_is_left_out_is_neutral() -> None:
     assert errors == type(errors)()
     motor = description.motors['y_linear']
     assert (motor.saturation_current, motor.ripple, motor.phase_imbalance) == (0.0, (), (0.0, 0.0))
+
+
+def by_force(**more) -> dict:
+    data = sound()
+    data['motors'] = {'y_linear': {'coordinate': 'travel', 'force_per_ampere_n_a': 35.0, **more}}
+    return data
+
+
+def test_a_motor_by_its_force_per_ampere_alone() -> None:
+    motor = load_description(machines.write(by_force())).motors['y_linear']
+    assert motors.force_constant(motor) == pytest.approx(35.0)
+    assert motor.by_force
+    assert motor.electrical_gain == pytest.approx(2.0 * 3.141592653589793)  # orders per metre
+    cycle = load_description(machines.write(by_force(electrical_cycle_m=0.02)))
+    assert cycle.motors['y_linear'].electrical_gain == pytest.approx(
+        2.0 * 3.141592653589793 / 0.02
+    )
+    assert not load_description(machines.write(sound())).motors['y_linear'].by_force
+
+
+@pytest.mark.parametrize(
+    ('more', 'words'),
+    [
+        ({'winding': 'wye'}, ['winding', 'whole data sheet', 'force_per_ampere_n_a']),
+        ({'torque_per_ampere_nm_a': 1.0}, ['torque_per_ampere_nm_a', 'wrong unit']),
+        ({'pole_pairs': 7}, ['pole_pairs', 'wrong unit', 'electrical_cycle_m']),
+        ({'force_per_ampere_n_a': 0.0}, ['greater than 0']),
+    ],
+)
+def test_half_a_data_sheet_is_refused(more, words) -> None:
+    with pytest.raises(UserError) as caught:
+        load_description(machines.write(by_force(**more)))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_a_motor_of_which_nothing_is_said_is_refused() -> None:
+    data = sound()
+    data['motors'] = {'y_linear': {'coordinate': 'travel'}}
+    with pytest.raises(UserError, match=r'winding and .* missing .*force_per_ampere_n_a'):
+        load_description(machines.write(data))
+
+
+def test_no_voltages_on_a_motor_without_windings() -> None:
+    with pytest.raises(UserError, match='y_linear is known by its force per ampere alone'):
+        motors.check_windings(load_description(machines.write(by_force())))
+    motors.check_windings(load_description(machines.write(sound())))

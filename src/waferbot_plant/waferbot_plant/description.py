@@ -217,6 +217,9 @@ class Motor:
     `electrical_gain` the electrical angle (rad) per m or rad of the coordinate. Imperfections, see
     `waferbot_plant.motors`: `saturation_current` in A, 0 for none; relative `phase_imbalance` of
     the windings 1 and 2.
+
+    A motor that is known `by_force` alone has stand-ins for its windings: `motors.check_windings`
+    refuses to put voltages on them.
     """
 
     axis: str
@@ -230,6 +233,7 @@ class Motor:
     saturation_current: float
     ripple: tuple[Ripple, ...]
     phase_imbalance: tuple[float, float]
+    by_force: bool = False
 
 
 @dataclass(frozen=True)

@@ -27,27 +27,66 @@ if TYPE_CHECKING:
     from waferbot_plant.description_reader import Reader
 
 
+FORCE_KEYS = ('force_per_ampere_n_a', 'torque_per_ampere_nm_a')
+"""What a motor may be known by in place of its data sheet, where it slides and where it turns."""
+
+WINDING_KEYS = ('winding', 'resistance_lead_to_lead_ohm', 'inductance_lead_to_lead_h')
+
+_OF_WINDINGS = (
+    *WINDING_KEYS, 'back_emf_lead_to_lead_v_s_m', 'back_emf_lead_to_lead_v_s_rad', 'heating',
+    'phase_imbalance',
+)  # fmt: skip
+
+STAND_IN_RESISTANCE, STAND_IN_INDUCTANCE = 1.0, 1e-3
+"""Of a motor that is known by its force alone, ohm and H; nothing is ever reckoned with them."""
+
+
 def read_motor(reader: Reader, axis: str) -> Motor:
-    """Read a motor's data sheet."""
+    """Read a motor: its data sheet, or its force per ampere alone."""
     key: Key = ('motors', axis)
     value = reader.data['motors'][axis]
     coordinate, revolute = reader.coordinate(key, value)
-    back_emf = reader.quantity(
-        key, revolute, 'back_emf_lead_to_lead_v_s_m', 'back_emf_lead_to_lead_v_s_rad'
-    )
-    cycle = reader.quantity(key, revolute, 'electrical_cycle_m', 'pole_pairs')
+    if not any(name in value for name in FORCE_KEYS):
+        missing = [name for name in WINDING_KEYS if name not in value]
+        if missing:
+            raise reader.document.error(
+                key, f'{" and ".join(missing)} missing (or give {FORCE_KEYS[revolute]} alone)'
+            )
+        back_emf = reader.quantity(
+            key, revolute, 'back_emf_lead_to_lead_v_s_m', 'back_emf_lead_to_lead_v_s_rad'
+        )
+        cycle = reader.quantity(key, revolute, 'electrical_cycle_m', 'pole_pairs')
+        windings = (
+            value['winding'],
+            float(value['resistance_lead_to_lead_ohm']),
+            float(value['inductance_lead_to_lead_h']),
+        )
+    else:
+        for name in _OF_WINDINGS:
+            if name in value:
+                raise reader.document.error(
+                    (*key, name),
+                    'says how the motor is wound; give either the whole data sheet or '
+                    f'{FORCE_KEYS[revolute]}',
+                )
+        # Force is sqrt(3)/2 of the EMF from lead to lead, in either winding.
+        back_emf = reader.quantity(key, revolute, *FORCE_KEYS) * 2.0 / math.sqrt(3.0)
+        # Without poles, orders count per turn or per metre.
+        cycle_key = ('electrical_cycle_m', 'pole_pairs')
+        known = any(name in value for name in cycle_key)
+        cycle = reader.quantity(key, revolute, *cycle_key) if known else 1.0
+        windings = ('wye', STAND_IN_RESISTANCE, STAND_IN_INDUCTANCE)
     return Motor(
         axis,
         coordinate,
-        value['winding'],
-        float(value['resistance_lead_to_lead_ohm']),
-        float(value['inductance_lead_to_lead_h']),
+        *windings,
         float(back_emf),
         float(cycle) if revolute else 2.0 * math.pi / cycle,
         _heating(reader, axis),
         float(value.get('saturation_current_a', 0.0)),
         _ripple(reader, axis),
         _pair(value.get('phase_imbalance', (0.0, 0.0))),
+        any(name in value for name in FORCE_KEYS),
     )
 
 

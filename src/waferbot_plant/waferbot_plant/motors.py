@@ -62,7 +62,8 @@ from typing import Any
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.description import Motor
+from waferbot_lockstep.errors import UserError
+from waferbot_plant.description import Description, Motor
 from waferbot_plant.multibody import sine_and_cosine
 
 MOTORS = 3
@@ -144,6 +145,17 @@ def winding_data(motor: Motor) -> tuple[int, float, float, float]:
 def force_constant(motor: Motor) -> float:
     """Return force or torque per ampere of line current amplitude, N/A or Nm/A."""
     return _HALF_ROOT_3 * motor.back_emf
+
+
+def check_windings(description: Description) -> None:
+    """Raise `UserError` if a motor is known by its force per ampere alone: no voltages drive that."""
+    for axis, motor in description.motors.items():
+        if motor.by_force:
+            raise UserError(
+                f'{description.name}: motor {axis} is known by its force per ampere alone, which is '
+                'enough for measured logs; to run it with an amplifier, give winding, resistance, '
+                'inductance and back-EMF (docs/machine_description.md)'
+            )
 
 
 def heating_data(motor: Motor) -> dict[str, float]:

@@ -44,6 +44,7 @@ from waferbot_lockstep.standard_messages import (
 )
 from waferbot_msgs.msg import Recorded
 from waferbot_plant import plant
+from waferbot_plant.motors import check_windings
 from waferbot_plant.urdf import urdf
 
 PLANT_SETTINGS = (
@@ -86,6 +87,7 @@ class PlantNode(LockstepNode):
         self._recorded = 0
         self._recorder_heard_s = 0.0
         machine = plant.load_machine(description, damping=damping, timing=self.timing)
+        check_windings(machine.description)
         self._model_parameters = machine.parameters()
         self._model_state = machine.resting_state(self._model_parameters)
         self._machine = machine

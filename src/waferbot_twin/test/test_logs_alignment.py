@@ -8,7 +8,7 @@ import os
 import numpy as np
 import pytest
 
-from waferbot_twin.logs.alignment import clock_ratio, skew
+from waferbot_twin.logs.alignment import clock_ratio, common_skew, skew
 from waferbot_twin.logs.measured import Signal
 
 J, B, C, G = 0.02, 0.05, 0.15, 0.4  # kg m2, Nm s/rad, Nm, Nm: inertia, damping, friction, gravity
@@ -62,6 +62,39 @@ def test_skew_is_found_to_a_fraction_of_a_sample(random, late_steps, jitter) -> 
     assert found.significant
     assert found.late_s == pytest.approx(late_steps * step_s, abs=0.15 * step_s)
     assert found.standard_error_s < 0.1 * step_s
+
+
+def test_several_logs_tell_one_skew_and_better(random) -> None:
+    """The logger is late by the same in each; the mean is nearer to it than they usually are."""
+    step_s, late_s = 2e-3, 1.4e-3
+    pairs = [signals(Motion(random), random, step_s, late_s, 0.5) for _ in range(6)]
+    single = [skew(*pair) for pair in pairs]
+    found = common_skew(pairs)
+    assert found is not None
+    assert found.significant
+    assert found.late_s == pytest.approx(late_s, abs=0.15 * step_s)
+    assert found.standard_error_s < min(one.standard_error_s for one in single)
+    assert str(found).startswith(f'{1e3 * found.late_s:.2f} ± ')
+
+
+def test_a_log_that_shows_no_skew_does_not_count(random) -> None:
+    time_s = np.arange(0.0, 4.0, 2e-3)
+    still = (
+        Signal('position', 'x_rotate', 'rad', time_s, np.zeros(len(time_s))),
+        Signal('force', 'x_rotate', 'Nm', time_s, random.standard_normal(len(time_s))),
+    )
+    moving = signals(Motion(random), random, 2e-3, 2e-3)
+    assert common_skew([still]) is None
+    both, alone = common_skew([still, moving]), common_skew([moving])
+    assert both == alone == skew(*moving)
+
+
+def test_logs_that_contradict_each_other_widen_the_error(random) -> None:
+    pairs = [signals(Motion(random), random, 2e-3, late_s) for late_s in (-4e-3, 4e-3, 0.0)]
+    found = common_skew(pairs)
+    assert found is not None
+    assert not found.significant
+    assert found.standard_error_s > 1e-3
 
 
 def test_no_skew_is_not_significant(random) -> None:

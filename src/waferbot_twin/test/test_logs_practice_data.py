@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The measured data sets of docs/logs.md, read from the folder that WAFERBOT_DATA names.
+Some of the measured data sets of docs/real_data.md, read from the folder that WAFERBOT_DATA names.
 
 What is known of them was found by others, or follows from a quick fit that is written out here.
 """
@@ -32,7 +32,8 @@ from waferbot_twin.validation.gain import gains
 DATA = os.environ.get('WAFERBOT_DATA', '')
 
 pytestmark = pytest.mark.skipif(
-    not DATA, reason='WAFERBOT_DATA does not name the folder of the measured data (docs/logs.md)'
+    not DATA,
+    reason='WAFERBOT_DATA does not name the folder of the measured data (docs/real_data.md)',
 )
 
 
@@ -181,7 +182,7 @@ EMPS = Path(DATA, 'emps', 'DATA_EMPS.mat')
 @pytest.mark.skipif(not EMPS.exists(), reason='WAFERBOT_DATA has no folder emps')
 def test_the_cascade_of_a_ball_screw_axis_leaves_what_differentiated_counts_leave() -> None:
     """Its owners' law and gains; 0.1 V is what they and the notes of the data have left over."""
-    variant = Variant.of(load_model_or_machine('ball_screw_axis'))
+    variant = Variant.of(load_model_or_machine('emps'))
     log = load_log(EMPS, 'emps')
     assert log['y_linear', 'drive_command'].unit == 'V'
     record = aligned_record(log, variant)
@@ -202,7 +203,7 @@ def test_the_cascade_of_a_ball_screw_axis_leaves_what_differentiated_counts_leav
 
 @pytest.mark.skipif(not EMPS.exists(), reason='WAFERBOT_DATA has no folder emps')
 def test_the_loop_of_a_ball_screw_axis_is_closed_and_friction_gains_there() -> None:
-    variant = Variant.of(load_model_or_machine('ball_screw_axis'))
+    variant = Variant.of(load_model_or_machine('emps'))
     record = aligned_record(load_log(EMPS, 'emps'), variant)
     (friction,) = find('coulomb_friction').parameters(variant, 'y_linear')
     with_it = find('coulomb_friction').apply(variant, 'y_linear', {friction.name: 20.4})

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 
 import numpy as np
@@ -138,6 +139,20 @@ def test_broken_lines_are_left_out_and_named(tmp_path) -> None:
     assert "line 21: 'oops' in column 2 is no number" in text
     assert 'line 11 and 1 more up to ' in text
     assert 'line 31: 2 cells instead of 3' in text
+
+
+def test_a_packed_file_is_unpacked_and_a_broken_one_told(tmp_path) -> None:
+    text = written(motion())
+    packed = gzip.compress(text.encode())
+    path = tmp_path / 'log.csv.gz'
+    path.write_bytes(packed)
+    plain, unpacked = load(tmp_path, text), load_log(path, mapping_text(MAPPING))
+    for signal in plain.signals:
+        assert unpacked[signal.axis, signal.kind].value.tobytes() == signal.value.tobytes()
+    for broken in (packed[: len(packed) // 2], packed[:20] + b'nonsense' + packed[28:]):
+        path.write_bytes(broken)
+        with pytest.raises(UserError, match=r'broken \.gz'):
+            load_log(path, mapping_text(MAPPING))
 
 
 def test_missing_numbers_leave_only_their_signal(tmp_path) -> None:

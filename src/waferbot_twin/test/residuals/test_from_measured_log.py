@@ -18,7 +18,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.diagnose import load_record
 from waferbot_twin.diagnosis.proposals.cogging_orders import orders_of
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
@@ -31,6 +30,7 @@ from waferbot_twin.residuals.from_measured_log import (
     record_of_measured_log,
     sized_by,
 )
+from waferbot_twin.residuals.load import load_record
 from waferbot_twin.residuals.plant_block import PlantBlock
 
 INERTIA = 2.5e-4  # kg m2, of the direct-drive motor

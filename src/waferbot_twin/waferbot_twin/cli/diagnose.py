@@ -58,14 +58,14 @@ def execute(options: argparse.Namespace) -> int:
     if options.workers < 1:
         raise UserError(f'--workers is {options.workers}; it must be at least 1')
     nominal = Variant.of(load_model_or_machine(options.model))
-    finding = load_records(options.measured, nominal)
-    judging = load_records(options.validate, nominal)
+    records = load_records([*options.measured, *options.validate], nominal)
+    estimation, validation = records[: len(options.measured)], records[len(options.measured) :]
     prepare_folder(options.out, options.force)
     with cluster(options.cluster) as cores, progress_bar('diagnosis') as bar:
         diagnosis = diagnose(
             nominal,
-            finding,
-            judging,
+            estimation,
+            validation,
             lambda what, done, total: bar(done, total),
             cores or options.workers,
             options.without,

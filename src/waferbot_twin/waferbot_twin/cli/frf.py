@@ -33,7 +33,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'logs', nargs='+', type=Path, metavar='LOG', help='recordings or other logs'
     )
-    parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
+    parser.add_argument(
+        '--model', default='rigid', metavar='NAME|FILE',
+        help='a model, or the description of a machine alone (default: rigid)',
+    )  # fmt: skip
     parser.add_argument('--axis', choices=AXES, help='default: the one that is commanded to move')
     parser.add_argument(
         '--response', choices=RESPONSES, default='plant',
@@ -66,7 +69,7 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.frequency_response import channels
     from waferbot_twin.frequency_response.compare import compare, read_log
     from waferbot_twin.frequency_response.report import as_dict, draw
-    from waferbot_twin.models import load_model
+    from waferbot_twin.models import load_model_or_machine
     from waferbot_twin.recording.writer import as_json
 
     for option in ('resolution', 'highest'):
@@ -75,8 +78,8 @@ def execute(options: argparse.Namespace) -> int:
             raise UserError(f'--{option} is {value:g} Hz; it must be above 0')
     if options.out is not None:
         _prepare(options.out, options.force)
-    variant = Variant.of(load_model(options.model))
-    logs = [read_log(path, options.mapping, options.model) for path in options.logs]
+    variant = Variant.of(load_model_or_machine(options.model))
+    logs = [read_log(path, options.mapping, options.model, variant) for path in options.logs]
     axis = options.axis or channels.moving_axis(logs)
     source, target = channels.RESPONSES[options.response]
     chosen = (

@@ -1,35 +1,73 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Identify named parameters of a model from measured logs, with intervals and what stays open.
+Identify parameters of a machine from measured logs, with intervals and what stays open.
 
   waferbot identify LOG... --parameter bodies.carriage.mass_kg --parameter pmac.y_linear.Ixx30 --out DIR
+  waferbot identify LOG... --method least-squares --validate OTHER... --out DIR
 
-A parameter is a path into the machine's description, pmac.AXIS.NAME or copley.AXIS.NAME. It may become
-ten times larger or smaller, or what PATH=low:high says. DIR gets report.html, report.json and
-identified.yaml, a model that every node and engine loads: waferbot run --model DIR/identified.yaml.
---model may be the description of a machine alone; then identified.yaml is one, too.
+With --method simulation (the default) each --parameter is a path into the machine's description,
+pmac.AXIS.NAME or copley.AXIS.NAME, and may become ten times larger or smaller, or what PATH=low:high
+says. DIR gets report.html, report.json and identified.yaml, a model that every node and engine loads:
+waferbot run --model DIR/identified.yaml; of a machine alone, a description.
+
+With --method least-squares no parameter is named and no model is needed: mass or inertia, viscous and
+Coulomb friction and offset of each axis by inverse dynamics. --model only says the force per ampere
+where the log has a current and no force. DIR gets report.html and report.json.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+
+if TYPE_CHECKING:
+    from waferbot_twin.identification.least_squares import Options
+
+SIMULATION, LEAST_SQUARES = 'simulation', 'least-squares'
+TERMS = ('direction', 'rise')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot identify`."""
     parser.add_argument('measured', nargs='+', type=Path, metavar='LOG', help='logs to fit')
     parser.add_argument(
-        '--parameter', action='append', required=True, metavar='PATH[=low:high]',
+        '--method', choices=(SIMULATION, LEAST_SQUARES), default=SIMULATION,
+        help='simulation: named parameters (default); least-squares: inverse dynamics',
+    )  # fmt: skip
+    parser.add_argument(
+        '--parameter', action='append', default=[], metavar='PATH[=low:high]',
         help='a parameter to identify (may be given several times)',
     )  # fmt: skip
     parser.add_argument(
         '--validate', nargs='+', type=Path, default=[], metavar='OTHER',
-        help='logs with another motion, in which the gain is measured',
+        help='logs with another motion, in which the gain, or the error, is measured',
     )  # fmt: skip
-    parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
+    parser.add_argument(
+        '--model', metavar='NAME|FILE',
+        help='a model, or the description of a machine alone (default: rigid; for least squares none)',
+    )  # fmt: skip
+    of_squares = parser.add_argument_group('with --method least-squares')
+    of_squares.add_argument(
+        '--with', dest='terms', action='append', default=[], metavar='TERM',
+        help='direction: viscous friction by direction; rise: friction that falls or rises from rest '
+        'with speed; sine=N,...: sines of the position, N '
+        'per turn or per metre (sine=1 is gravity on an axis that turns). May be given several times',
+    )  # fmt: skip
+    of_squares.add_argument(
+        '--cut-off', type=float, metavar='HZ', help='of the filter (default: by the noise)'
+    )
+    of_squares.add_argument(
+        '--dead-zone', type=float, default=0.0, metavar='SPEED',
+        help='m/s or rad/s below which samples are left out (default: by the noise)',
+    )  # fmt: skip
+    of_squares.add_argument(
+        '--map', dest='mapping', metavar='FILE', help='mapping of logs that are not imported yet'
+    )
     parser.add_argument('--out', type=Path, metavar='DIR', help='write report and model here')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print report.json')
@@ -37,6 +75,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Identify, write the report, print the table."""
+    if options.method == LEAST_SQUARES:
+        if options.parameter:
+            raise UserError(
+                '--method least-squares names its parameters itself; leave --parameter out'
+            )
+        return _least_squares(options)
+    if not options.parameter:
+        raise UserError(
+            'name what to identify: --parameter PATH, or give --method least-squares, which needs '
+            'no names'
+        )
+    for name, value in (
+        ('--with', options.terms), ('--cut-off', options.cut_off),
+        ('--dead-zone', options.dead_zone), ('--map', options.mapping),
+    ):  # fmt: skip
+        if value:
+            raise UserError(f'{name} belongs to --method least-squares')
+    return _simulation(options)
+
+
+def _simulation(options: argparse.Namespace) -> int:
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.identification.identify import identify
@@ -45,10 +104,10 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.models import load_model_or_machine
     from waferbot_twin.residuals.load import load_records
 
-    nominal = Variant.of(load_model_or_machine(options.model))
+    nominal = Variant.of(load_model_or_machine(options.model or 'rigid'))
     parameters = parse_all(options.parameter, nominal)
-    records = load_records(options.measured, nominal)
-    judging = load_records(options.validate, nominal)
+    records = load_records([*options.measured, *options.validate], nominal)
+    records, judging = records[: len(options.measured)], records[len(options.measured) :]
     if options.out is not None:
         prepare_folder(options.out, options.force)
     with progress_bar('identification') as progress:
@@ -72,3 +131,82 @@ def execute(options: argparse.Namespace) -> int:
     if options.out is not None:
         say(f'report: {options.out / "report.html"}')
     return 0
+
+
+def _least_squares(options: argparse.Namespace) -> int:
+    from waferbot_twin.effects.variant import Variant
+    from waferbot_twin.html_page import prepare_folder
+    from waferbot_twin.identification.least_squares import identify_by_least_squares
+    from waferbot_twin.identification.least_squares_report import (
+        as_dict,
+        errors_in_words,
+        remarks,
+        table_rows,
+        write,
+    )
+    from waferbot_twin.logs.load import load_log
+    from waferbot_twin.models import load_model_or_machine
+
+    chosen = _options(options)
+    variant = Variant.of(load_model_or_machine(options.model)) if options.model else None
+    machine = variant.machine_text if variant is not None else None
+    logs, judges = (
+        [
+            load_log(path, options.mapping, machine=machine, name=path.name)
+            for path in paths
+        ]
+        for paths in (options.measured, options.validate)
+    )  # fmt: skip
+    if options.out is not None:
+        prepare_folder(options.out, options.force)
+    result = identify_by_least_squares(logs, judges, variant, chosen)
+    if options.out is not None:
+        write(result, options.out)
+    if options.json:
+        print_json(as_dict(result))
+        return 0
+    table = new_table('axis', 'coefficient', 'value', '95 % from', 'to', 'unit')
+    table.columns[1].justify = 'left'
+    for row in table_rows(result):
+        table.add_row(*row)
+    result_console.print(table)
+    for line in (*errors_in_words(result), *remarks(result)):
+        print(line)
+    if options.out is not None:
+        say(f'report: {options.out / "report.html"}')
+    return 0
+
+
+def _options(options: argparse.Namespace) -> Options:
+    """Return what was chosen for least squares; raises `UserError`."""
+    from waferbot_lockstep.parameters import did_you_mean
+    from waferbot_twin.identification.least_squares import Options
+
+    if options.cut_off is not None and not (
+        math.isfinite(options.cut_off) and options.cut_off > 0.0
+    ):
+        raise UserError(f'--cut-off is {options.cut_off:g} Hz; it must be above 0')
+    if not (math.isfinite(options.dead_zone) and options.dead_zone >= 0.0):
+        raise UserError(f'--dead-zone is {options.dead_zone:g}; it must be a speed, at least 0')
+    orders: list[float] = []
+    for term in options.terms:
+        name, given, numbers = term.partition('=')
+        if name == 'sine' and given:
+            try:
+                orders += [float(number) for number in numbers.split(',')]
+            except ValueError:
+                raise UserError(f'--with {term}: {numbers!r} is no list of numbers') from None
+        elif term not in TERMS:
+            raise UserError(
+                f'--with {term}: no such term{did_you_mean(name, TERMS)} '
+                f'(there are: {", ".join(TERMS)}, sine=N,...)'
+            )
+    if any(not (math.isfinite(order) and order > 0.0) for order in orders):
+        raise UserError('--with sine: orders must be above 0')
+    return Options(
+        'direction' in options.terms,
+        'rise' in options.terms,
+        tuple(dict.fromkeys(orders)),
+        options.cut_off,
+        options.dead_zone,
+    )

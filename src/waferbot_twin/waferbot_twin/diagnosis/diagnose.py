@@ -132,10 +132,10 @@ def diagnose(
             'one log only: the gain is that in its last part, which was not used for the fit'
         )
     records = [*estimation, *validation]
-    if any(record.commanded is None for record in records):
+    if not all(record.is_imported or record.closes_loop for record in records):
         notes.append(
-            'no commanded positions or no controller: the answer is weaker, as nothing tells what the '
-            'command made the machine do from what noise did'
+            'the controller was not looked at: that takes a recording with servo_state and '
+            'current_command, and a model that has a controller'
         )
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
     nominal = sized_by(records, nominal)

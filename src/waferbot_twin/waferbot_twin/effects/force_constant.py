@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from waferbot_plant.description_drives import FORCE_KEYS
+from waferbot_plant.motors import force_constant
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
@@ -16,7 +18,11 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
 
 def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
     motor = variant.description.motors[axis]
-    unit = 'rad' if places.motor_rotary(variant, axis) else 'm'
+    turns = places.motor_rotary(variant, axis)
+    if motor.by_force:
+        constant = force_constant(motor) * values['ratio']
+        return Overlay({'motors': {axis: {FORCE_KEYS[turns]: constant}}})
+    unit = 'rad' if turns else 'm'
     key = f'back_emf_lead_to_lead_v_s_{unit}'
     return Overlay({'motors': {axis: {key: motor.back_emf * values['ratio']}}})
 

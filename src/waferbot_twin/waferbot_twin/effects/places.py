@@ -33,9 +33,18 @@ def motor_axes(variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in AXES if axis in variant.base.description.motors)
 
 
-def current_driven_axes(variant: Variant) -> tuple[str, ...]:
-    """Return the axes with a motor whose current, not only whose force, is known."""
-    return tuple(axis for axis in motor_axes(variant) if axis not in variant.base.force_driven)
+def wound_axes(variant: Variant) -> tuple[str, ...]:
+    """
+    Return the axes whose motor's windings are known, and whose current was logged.
+
+    Not those known by their force per ampere alone, nor those of which a log has a force instead.
+    """
+    known = variant.base.description.motors
+    return tuple(
+        axis
+        for axis in motor_axes(variant)
+        if not known[axis].by_force and axis not in variant.base.force_driven
+    )
 
 
 def controlled_axes(variant: Variant) -> tuple[str, ...]:

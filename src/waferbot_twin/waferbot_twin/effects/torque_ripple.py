@@ -44,7 +44,7 @@ def _axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose motor has room for another ripple."""
     return tuple(
         axis
-        for axis in places.current_driven_axes(variant)
+        for axis in places.wound_axes(variant)
         if len(variant.description.motors[axis].ripple) < RIPPLES
     )
 

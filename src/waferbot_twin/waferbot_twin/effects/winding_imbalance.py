@@ -33,7 +33,7 @@ EFFECT = Effect(
     'winding_imbalance',
     Block.MOTOR,
     'force constants of the three windings differ',
-    places.current_driven_axes,
+    places.wound_axes,
     _parameters,
     _overlay,
     equation='k_w = k (1 + winding_w)',

@@ -46,6 +46,7 @@ from waferbot_lockstep.standard_messages import (
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_plant import plant
+from waferbot_plant.motors import check_windings
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
@@ -190,6 +191,7 @@ class Twin:
             damping=model.parameters['plant'].get('damping', 'improved'),
             timing=timing,
         )
+        check_windings(machine.description)
         twin = cls(
             machine, model.of_axes('pmac'), model.of_axes('copley'), timing, str(model.path)
         )

@@ -55,11 +55,20 @@ class Comparison:
     notes: tuple[str, ...]
 
 
-def read_log(path: Path, mapping: str | None, model: str) -> MeasuredLog:
-    """Return a log; `model` gives the settings behind the twin's topics where it does not hold them."""
+def read_log(
+    path: Path, mapping: str | None, model: str, variant: Variant | None = None
+) -> MeasuredLog:
+    """
+    Return a log; `model` gives the settings behind the twin's topics where it does not hold them.
+
+    Of a machine alone, `variant`, there are none; it tells what counts and joints are.
+    """
+    machine = variant.machine_text if variant is not None else None
     try:
-        return load_log(path, mapping)
+        return load_log(path, mapping, machine=machine)
     except UserError:
+        if variant is not None and variant.is_machine_alone:
+            raise
         return load_log(path, mapping, model)
 
 

@@ -37,8 +37,13 @@ def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> Measure
     Return the log of the closed loop of `variant` for the commanded positions of `log`.
 
     It begins at rest where the first commands are; an axis without commands is held at zero. Times
-    count from the first command. Raises `UserError` if nothing was commanded, or the loop is unstable.
+    count from the first command. Raises `UserError` if nothing was commanded, the model has no
+    controller, or the loop is unstable.
     """
+    if variant.is_machine_alone:
+        raise UserError(
+            f'{variant.name} is a machine alone: without its controller the loop cannot be run'
+        )
     commands = {axis: log.get(axis, 'commanded_position') for axis in AXES}
     known = {axis: signal for axis, signal in commands.items() if signal is not None}
     if not known:

@@ -85,6 +85,10 @@ class Skew:
         """Whether it is beyond doubt that there is one."""
         return abs(self.late_s) > SIGNIFICANT * self.standard_error_s
 
+    def __str__(self) -> str:
+        """Return the skew with twice its standard error, in ms."""
+        return f'{1e3 * self.late_s:.2f} ± {2e3 * self.standard_error_s:.2f} ms'
+
 
 def skew(position: Signal, drive: Signal, cycle: float = math.inf) -> Skew | None:
     """
@@ -110,6 +114,29 @@ def skew(position: Signal, drive: Signal, cycle: float = math.inf) -> Skew | Non
                 _skew_in(position, drive, starts[clear], length_s, LONGEST_STEPS * step_s, cycle)
             )
     return _confirmed(found, LEAST_ERROR_STEPS * step_s)
+
+
+def common_skew(pairs: Sequence[tuple[Signal, Signal]], cycle: float = math.inf) -> Skew | None:
+    """
+    Return the one skew of several logs of a machine, from pairs of position and drive, in s.
+
+    A logger's channels are as late in one log as in the next, so all logs tell one number: the mean of
+    theirs, weighted by the inverse of their variances. Where they scatter more than their errors say,
+    the error is that of the scatter (R. T. Birge, Phys. Rev. 40, 1932). A log that shows none does not
+    count; None if none does. Logs of different loggers, or with different kinds of drive, do not belong
+    together.
+    """
+    found = [one for pair in pairs if (one := skew(*pair, cycle)) is not None]
+    if not found:
+        return None
+    late_s = np.array([one.late_s for one in found])
+    weight = np.array([one.standard_error_s**-2 for one in found])
+    mean_s = float(weight @ late_s / weight.sum())
+    error_s = float(weight.sum() ** -0.5)
+    if len(found) > 1:
+        scatter = float(weight @ (late_s - mean_s) ** 2) / (len(found) - 1.0)
+        error_s *= max(1.0, math.sqrt(scatter))
+    return Skew(mean_s, error_s)
 
 
 def _confirmed(found: Sequence[Skew | None], least_error_s: float) -> Skew | None:

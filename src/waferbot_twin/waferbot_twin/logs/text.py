@@ -10,6 +10,8 @@ if it has as many cells. A line that does not fit is left out, and reported with
 from __future__ import annotations
 
 import codecs
+import gzip
+import zlib
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,6 +25,9 @@ from waferbot_twin.logs.findings import Finding, rows_text
 
 DELIMITERS = (';', '\t', '|', ',', 'space')
 """Tried in this order; the one that gives the most numbers is taken."""
+
+GZIP = b'\x1f\x8b'
+"""How a file begins that gzip has packed; it is unpacked, whatever it is called."""
 
 _SAMPLE_LINES = 400
 _MISSING = ('', 'nan', '-nan', 'na', 'n/a', 'null', 'none', '-', '--', '#n/a')
@@ -68,11 +73,16 @@ def read_text(path: Path, options: Mapping[str, Any] | None = None) -> Table:
 
 
 def lines_of(path: Path, encoding: str | None = None) -> tuple[list[str], bool]:
-    """Return the lines of a text file, and whether the last of them is ended."""
+    """Return the lines of a text file, packed by gzip or not, and whether the last one is ended."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise UserError(f'{path}: cannot be read ({error.strerror})') from None
+    if data.startswith(GZIP):
+        try:
+            data = gzip.decompress(data)
+        except (OSError, EOFError, zlib.error) as error:
+            raise UserError(f'{path}: is a broken .gz file ({error})') from None
     if not data.strip():
         raise UserError(f'{path}: is empty')
     if encoding is None:

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_twin.controllers.law import cycle_hz
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, skew
+from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, common_skew
 from waferbot_twin.logs.counting import AVERAGE, FLOOR, ROUND, counted, told_by_both
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
@@ -221,6 +221,7 @@ def record_of_measured_log(
         half_step=tuple(half_step),
         counted=tuple(in_steps),
         controlled=known_controllers,
+        force_driven=tuple(axis for axis, drive in drives.items() if drive.kind == 'force'),
     )
 
 
@@ -349,37 +350,88 @@ def _timing(log: MeasuredLog, axes: Sequence[str], variant: Variant) -> Timing:
 
 
 def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
-    """
-    Return the record of a measured log, its channels aligned as far as they tell how.
+    """Return the record of a measured log by itself; see `aligned_records`."""
+    (record,) = aligned_records([log], variant)
+    return record
 
-    Notes say what skew was found and taken out, what clock the commands run by, how encoders were
-    taken to count, what can be asked of the commands, and what the rate of the log limits. Raises as
-    `record_of_measured_log`.
+
+def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Record]:
     """
+    Return the records of measured logs, their channels aligned as far as they tell how.
+
+    How late the drive of an axis stands is found from all logs with that kind of drive together: it
+    is the logger's, not the motion's. Notes say what skew was found and taken out, what clock the
+    commands run by, and what the rate of a log limits. Raises as `record_of_measured_log`.
+    """
+    axes_of = [driven_axes(log, variant) for log in logs]
+    pairs: dict[tuple[str, str], list[tuple[Signal, Signal]]] = {}
+    for log, axes in zip(logs, axes_of, strict=True):
+        for axis in axes:
+            drive = drive_signal(log, variant, axis)
+            assert drive is not None
+            pairs.setdefault((axis, drive.kind), []).append((log[axis, 'position'], drive))
+    alignments = {
+        (axis, kind): _alignment(
+            those, places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
+        )
+        for (axis, kind), those in pairs.items()
+    }
+    return [
+        _aligned(log, axes, variant, alignments) for log, axes in zip(logs, axes_of, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Alignment:
+    """How late the drive of an axis stands, None if no motion shows it; `as_held` if it was told so."""
+
+    skew: Skew | None
+    as_held: bool = False
+
+
+def _alignment(pairs: Sequence[tuple[Signal, Signal]], cycle: float) -> _Alignment:
+    """
+    Return how late drives stand behind positions, in all logs together.
+
+    A drive that was taken straight from sample to sample, and is early by half a sample, is one that
+    holds its output, if it is not early when it is taken as held.
+    """
+    found = common_skew(pairs, cycle)
+    if found is not None and all(_as_if_held(drive, found) for _, drive in pairs):
+        held = [(position, replace(drive, hold=ZERO_ORDER)) for position, drive in pairs]
+        of_held = common_skew(held, cycle)
+        if of_held is not None and not of_held.significant:
+            return _Alignment(of_held, as_held=True)
+    return _Alignment(found)
+
+
+def _aligned(
+    log: MeasuredLog,
+    axes: Sequence[str],
+    variant: Variant,
+    alignments: Mapping[tuple[str, str], _Alignment],
+) -> Record:
+    """Return the record of a log whose alignments, by axis and kind of drive, are known."""
     late_s, notes, without = {}, [], []
-    axes = driven_axes(log, variant)
     for axis in axes:
         position, drive = log[axis, 'position'], drive_signal(log, variant, axis)
         assert drive is not None
-        cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
-        found = skew(position, drive, cycle)
+        alignment = alignments[axis, drive.kind]
+        found = alignment.skew
         pair = f'{log.name}: {drive.name} against its position'
-        if found is not None and _as_if_held(drive, found):
-            held = replace(drive, hold=ZERO_ORDER)
-            of_held = skew(position, held, cycle)
-            if of_held is not None and not of_held.significant:
-                notes.append(
-                    f'{pair}: {_skew_text(found)} late, half a sample, as of a drive that holds its '
-                    'output: taken as held (hold: linear in the mapping, if not)'
-                )
-                log, found = log.with_signal(held), of_held
+        if alignment.as_held:
+            log = log.with_signal(replace(drive, hold=ZERO_ORDER))
+            notes.append(
+                f'{pair}: early by half a sample, as a drive that holds its output: taken as held '
+                '(hold: linear in the mapping, if not)'
+            )
         if found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')
         elif found.significant:
             late_s[axis] = found.late_s
-            notes.append(f'{pair}: {_skew_text(found)} late, moved by that')
+            notes.append(f'{pair}: {found} late, moved by that')
         else:
-            notes.append(f'{pair}: {_skew_text(found)} late, not significant')
+            notes.append(f'{pair}: {found} late, not significant')
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
@@ -486,7 +538,7 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     Return the variant with the usual currents of the logs, for axes without a known amplifier.
 
     Effects are sized by what a drive can do (`places.rated_force`); where nobody says what that is,
-    what it did has to tell.
+    what it did has to tell. Where all logs have a force, nothing shows what windings do.
     """
     usual = {}
     for place, axis in enumerate(AXES):
@@ -494,7 +546,14 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
         known = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else ()
         if len(known) and not variant.copley.get(axis):
             usual[axis] = float(np.sqrt(np.mean(np.square(known))))
-    return replace(variant, usual_current={axis: value for axis, value in usual.items() if value})
+    by_force = set(variant.description.motors).intersection(
+        *(record.force_driven for record in records)
+    )
+    return replace(
+        variant,
+        usual_current={axis: value for axis, value in usual.items() if value},
+        force_driven=frozenset(by_force),
+    )
 
 
 def _positions(log: MeasuredLog, variant: Variant, axis: str) -> list[tuple[Signal, int]]:

@@ -10,30 +10,40 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.bags import is_bag, read_bag
 from waferbot_twin.logs.load import load_log
+from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.recording.reader import recording_files, recording_of
-from waferbot_twin.residuals.from_measured_log import aligned_record
+from waferbot_twin.residuals.from_measured_log import aligned_records
 from waferbot_twin.residuals.from_recording import record_of
 from waferbot_twin.residuals.record import Record
 
 
 def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
-    """Return the records of logs; raises `UserError` for one that cannot be used."""
-    return [load_record(path, nominal) for path in paths]
+    """
+    Return the records of logs, in their order.
+
+    Imported logs are aligned in time all together: how late a channel stands is the logger's, not the
+    motion's. Raises `UserError` for a log that cannot be used.
+    """
+    found: dict[int, Record] = {}
+    imported: dict[int, MeasuredLog] = {}
+    for place, path in enumerate(paths):
+        if path.exists() and not is_bag(path):
+            raise UserError(
+                f'{path} is no recording; import it first: '
+                f'waferbot import {path} --map MAP.yaml --out DIR (docs/logs.md)'
+            )
+        content = read_bag(path)
+        recording = recording_of(path, recording_files(path)[0], content)
+        if any(len(array) for array in recording.topics.values()):
+            found[place] = record_of(recording, path, nominal)
+        else:
+            imported[place] = load_log(path, machine=nominal.machine_text, name=path.name)
+    if imported:
+        found |= zip(imported, aligned_records(list(imported.values()), nominal), strict=True)
+    return [found[place] for place in range(len(paths))]
 
 
 def load_record(path: Path, nominal: Variant) -> Record:
-    """
-    Return the record of a recording with the contract's topics, else of a measured log.
-
-    Raises `UserError` for a log that cannot be used.
-    """
-    if path.exists() and not is_bag(path):
-        raise UserError(
-            f'{path} is no recording; import it first: '
-            f'waferbot import {path} --map MAP.yaml --out DIR (docs/logs.md)'
-        )
-    content = read_bag(path)
-    recording = recording_of(path, recording_files(path)[0], content)
-    if any(len(array) for array in recording.topics.values()):
-        return record_of(recording, path, nominal)
-    return aligned_record(load_log(path, machine=nominal.machine_text, name=path.name), nominal)
+    """Return the record of one log; raises as `load_records`."""
+    (record,) = load_records([path], nominal)
+    return record

@@ -61,6 +61,7 @@ class Record:
                   average: half a step of those that an imported log has rounded down
     counted       whether each encoder's readings are whole steps of its resolution
     controlled    the axes whose controller the model knows
+    force_driven  the axes whose force was logged, and no current
     notes         what a reader of the results should know of the log
 
     `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
@@ -88,6 +89,7 @@ class Record:
     half_step: tuple[float, ...] = (0.0,) * len(ENCODERS)
     counted: tuple[bool, ...] = (True,) * len(ENCODERS)
     controlled: tuple[str, ...] = AXES
+    force_driven: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
