@@ -14,7 +14,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,7 +40,6 @@ def execute(options: argparse.Namespace) -> int:
     """Identify, write the report, print the table."""
     from waferbot_twin.diagnosis.diagnose import load_records
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.identification.identify import identify
     from waferbot_twin.identification.named_parameters import parse_all
     from waferbot_twin.identification.report import as_dict, remarks, table_rows, write
@@ -48,15 +49,13 @@ def execute(options: argparse.Namespace) -> int:
     parameters = parse_all(options.parameter, nominal)
     records = load_records(options.measured, nominal)
     judging = load_records(options.validate, nominal)
-    if options.out is not None:
-        prepare_folder(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     with progress_bar('identification') as progress:
         result = identify(nominal, records, judging, parameters, progress)
-    if options.out is not None:
-        write(result, options.out)
+    kept = keep(output, lambda folder: write(result, folder))
     if options.json:
         print_json(as_dict(result))
-        return 0
+        return kept.tell('report: {}/report.html')
     table = new_table('parameter', 'unit', 'model', 'identified', '95 % from', 'to')
     for row in table_rows(result):
         table.add_row(*row)
@@ -68,6 +67,4 @@ def execute(options: argparse.Namespace) -> int:
             f'{item.log}, {item.axis}: RMS error {item.rms_before:.4g} to {item.rms_after:.4g} '
             f'{item.unit}, {item.improvement_percent:.1f} %'
         )
-    if options.out is not None:
-        say(f'report: {options.out / "report.html"}')
-    return 0
+    return kept.tell('report: {}/report.html')

@@ -17,7 +17,9 @@ import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 SHOWN = 12
 """Experiments that are printed; all are in the report."""
@@ -56,7 +58,6 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_lockstep.timing import Timing
     from waferbot_twin.diagnosis.problem import apply_all
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
     from waferbot_twin.suggestion.report import as_dict, remainder, sentence, table_rows, write
     from waferbot_twin.suggestion.rivals import named, of_report, read_report
@@ -76,8 +77,7 @@ def execute(options: argparse.Namespace) -> int:
         if options.report is not None
         else named(options.rivals, variant)
     )
-    if options.out is not None:
-        prepare_folder(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     machine = Machine(
         apply_all(variant, group.others),
         options.noise,
@@ -87,11 +87,11 @@ def execute(options: argparse.Namespace) -> int:
     )
     with progress_bar('simulating experiments') as progress:
         found = suggest(machine, group.rivals, progress, options.workers)
-    if options.out is not None:
-        write(found, options.out)
+    kept = keep(output, lambda folder: write(found, folder))
+    what = 'report: {}/report.json' if found.best is None else 'experiment: {}/experiment.yaml'
     if options.json:
         print_json(as_dict(found))
-        return 0
+        return kept.tell(what)
     table = new_table(
         'experiment', '2 ln L', 'x detectable', 'length [s]', 'speed [%]', 'current [%]'
     )
@@ -100,6 +100,4 @@ def execute(options: argparse.Namespace) -> int:
     result_console.print(table)
     print(remainder(found, SHOWN))
     print(sentence(found))
-    if options.out is not None and found.best is not None:
-        say(f'experiment: {options.out / "experiment.yaml"}')
-    return 0
+    return kept.tell(what)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.recording.writer import as_json
@@ -65,7 +66,7 @@ def execute(options: argparse.Namespace) -> int:
         )
     if options.truth is not None:
         try:
-            options.truth.write_text(as_json(truth) + '\n', 'utf-8')
+            write_text(options.truth, as_json(truth) + '\n')
         except OSError as error:
             raise UserError(f'--truth {options.truth}: {error.strerror}') from error
     if options.json:

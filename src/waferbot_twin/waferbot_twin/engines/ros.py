@@ -106,7 +106,9 @@ def run(
         engine = 'composed' if options.composed else 'ros'
         writer = None
         if out is not None:
-            writer = stack.enter_context(RecordingWriter(out, plan.attachments(engine), force))
+            writer = stack.enter_context(
+                RecordingWriter(out, plan.attachments(engine), force, live=True)
+            )
         recorder = Recorder(
             writer,
             plan.timing,
