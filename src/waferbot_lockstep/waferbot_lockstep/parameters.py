@@ -78,9 +78,9 @@ def check_settings(
     }
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return `; did you mean 'x'?` for the nearest of the `known` names, or nothing."""
     import difflib
 
-    nearest = difflib.get_close_matches(name, list(known), n=1)
+    nearest = difflib.get_close_matches(str(name), list(known), n=1)
     return f'; did you mean {nearest[0]!r}?' if nearest else ''

@@ -26,6 +26,8 @@ from waferbot_plant.description import BASE, Description, Freedom, Joint
 from waferbot_plant.modes import Mode
 from waferbot_plant.plant import Machine
 
+matplotlib.rcParams['text.parse_math'] = False  # a $ in a name is a $
+
 Vector = NDArray[np.float64]
 
 VIEWS = {'side': (0, 1, 1.0), 'front': (2, 1, 1.0), 'top': (0, 2, -1.0)}

@@ -18,6 +18,8 @@ from matplotlib.figure import Figure
 
 from waferbot_lockstep.atomic_files import replacing
 
+matplotlib.rcParams['text.parse_math'] = False  # a $ in the name of a log is a $
+
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2rem; }

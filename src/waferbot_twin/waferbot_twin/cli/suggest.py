@@ -19,6 +19,7 @@ from pathlib import Path
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.cli.keeping import keep
+from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.output_folder import OutputFolder
 
 SHOWN = 12
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--model', metavar='NAME|FILE', help='default: that of the report, else rigid'
     )
     parser.add_argument('--noise', type=float, default=1.0, help='level of the noise (default 1)')
-    parser.add_argument('--seed', type=int, default=0, help='of the noise')
+    add_seed(parser, 'of the noise')
     parser.add_argument(
         '--without', action='append', default=[],
         choices=('commanded', 'currents', 'command', 'voltages'),

@@ -17,6 +17,7 @@ from pathlib import Path
 from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.recording.writer import as_json
 
 
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--experiment', default='wafer_exchange', metavar='NAME|FILE')
     parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
     parser.add_argument('--noise', type=float, default=1.0, help='level, 0 for none (default 1)')
-    parser.add_argument('--seed', type=int, default=0, help='of noise and of what is drawn')
+    add_seed(parser, 'of noise and of what is drawn')
     parser.add_argument(
         '--without', action='append', default=[],
         choices=('commanded', 'currents', 'command', 'voltages', 'amplifier'),
