@@ -23,6 +23,7 @@ from types import FrameType
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
 
 COMMANDS = {
     'run': 'run',
@@ -55,6 +56,9 @@ def build_parser(chosen: str = '') -> argparse.ArgumentParser:
         description='Digital twin of a three-axis wafer-handling robot: run it, record it, replay it.',
         epilog='Each command has its own --help.',
     )
+    parser.add_argument(
+        '--version', action=_Version, help='tell the version, and from which commit it is'
+    )
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, module_name in COMMANDS.items():
         purpose = _docstring(module_name)
@@ -66,6 +70,20 @@ def build_parser(chosen: str = '') -> argparse.ArgumentParser:
             module.add_arguments(command)
             command.set_defaults(execute=module.execute)
     return parser
+
+
+class _Version(argparse.Action):
+    """Prints the version and ends; it is looked up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print it."""
+        from waferbot_twin.version import version_text
+
+        print(f'waferbot {version_text()}')
+        parser.exit()
 
 
 def _docstring(module_name: str) -> str:
@@ -80,7 +98,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = next((argument for argument in arguments if not argument.startswith('-')), '')
     _print_any_name()
     try:
-        options = build_parser(chosen).parse_args(arguments)
+        parser = build_parser(chosen)
+        if chosen and chosen not in COMMANDS:
+            parser.error(f'there is no command {chosen!r}{did_you_mean(chosen, COMMANDS)}')
+        options = parser.parse_args(arguments)
         with _ended_in_order():
             code = int(options.execute(options) or EXIT_OK)
             sys.stdout.flush()
