@@ -9,6 +9,8 @@ from fuzzing.categories import CATEGORIES, tracebacks
 SEED = 20261125
 COUNT = 300
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize('name', CATEGORIES)
 def test_damaged_input_is_used_or_refused(name, tmp_path):
