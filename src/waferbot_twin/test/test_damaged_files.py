@@ -14,9 +14,10 @@ import scipy.io
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import parse
 from waferbot_twin.cli.main import main
+from waferbot_twin.logs.archive import read_archive
 from waferbot_twin.logs.isolated import isolated
 from waferbot_twin.logs.load import load_log
-from waferbot_twin.recording.reader import Recording, recording_files
+from waferbot_twin.recording.reader import Recording, read_content, recording_files
 from waferbot_twin.suggestion.rivals import read_report
 
 MAPPING = """
@@ -112,6 +113,16 @@ def test_epoch_times_are_taken_and_a_wrong_unit_is_named(tmp_path):
     assert log.get('x_rotate', 'position').time_s[0] == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(UserError, match=r'5\.39e\+10 years; is time\.unit right'):
         loaded(tmp_path, rows(1.7e18, 1e6))
+
+
+def test_an_imported_log_without_a_sample_is_refused(tmp_path):
+    loaded(tmp_path, rows())
+    log, mapping = str(tmp_path / 'log.csv'), str(tmp_path / 'map.yaml')
+    assert main(['import', log, '--map', mapping, '--out', str(tmp_path / 'out')]) == 0
+    content = read_content(recording_files(tmp_path / 'out'))
+    content.messages = {'/measured/x_rotate/velocity': [b'']}
+    with pytest.raises(UserError, match='no sample of the log is left'):
+        read_archive(tmp_path / 'out', content)
 
 
 def test_a_dollar_in_the_name_of_a_log_is_drawn(tmp_path, capsys):

@@ -134,6 +134,8 @@ def read_archive(path: Path, content: Content) -> MeasuredLog:
                 entry['resolution'],
             )
         )
+    if not signals:
+        raise UserError(f'{path}: no sample of the log is left in it; import it again')
     return MeasuredLog(
         about['name'],
         tuple(signals),
