@@ -13,7 +13,7 @@ CLEAN_ENVIRONMENT := env -u AMENT_PREFIX_PATH -u CMAKE_PREFIX_PATH -u COLCON_PRE
 RUN := ./waferbot --exec
 SIDE_BY_SIDE := --numprocesses auto --dist loadfile
 
-.PHONY: help build demo test test-fast lint bench bench-diagnosis clean
+.PHONY: help build demo test test-fast lint bench bench-diagnosis bench-fuzz clean
 
 help:
 	@echo 'make demo       set up, run the twin over ROS 2, diagnose logs of a machine'
@@ -21,6 +21,7 @@ help:
 	@echo 'make test-fast  linters and the tests that need no ROS processes (2 minutes; more the first time)'
 	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'
 	@echo 'make bench-diagnosis  blind tests of the diagnosis; OPTIONS=--help says how to do a part of them'
+	@echo 'make bench-fuzz  5000 damaged inputs of every kind, none of which may bring a traceback'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
 	@echo 'make clean      remove everything that the above made'
 
@@ -65,6 +66,9 @@ bench: build
 
 bench-diagnosis: build
 	$(RUN) python tests/bench/bench_diagnosis.py $(OPTIONS)
+
+bench-fuzz: build
+	$(RUN) python tests/bench/bench_fuzz.py $(OPTIONS)
 
 clean:
 	rm -rf .venv build install log runs bench-results .pytest_cache .mypy_cache .ruff_cache .hypothesis

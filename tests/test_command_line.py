@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 
@@ -113,6 +114,19 @@ def test_a_mistake_is_told_in_one_line(mistake, tmp_path, monkeypatch):
     assert result.stderr.startswith('waferbot: error: ')
     assert result.stderr.count('\n') == 1, result.stderr
     assert hint in result.stderr
+
+
+def test_the_version_is_told():
+    result = waferbot('--version')
+    assert result.returncode == 0
+    assert re.fullmatch(r'waferbot \d+\.\d+\.\d+( \([0-9a-f]{7,}(-dirty)?\))?\n', result.stdout)
+
+
+def test_a_misspelt_command_is_answered_with_the_nearest():
+    result = waferbot('dianose', 'log')
+    assert result.returncode == 2
+    assert "there is no command 'dianose'; did you mean 'diagnose'?" in result.stderr
+    assert 'Traceback' not in result.stderr
 
 
 def test_a_model_with_a_value_out_of_range_names_the_range(tmp_path):

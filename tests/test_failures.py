@@ -461,6 +461,22 @@ def test_a_node_that_cannot_start_ends_the_run_with_its_reason(start, tmp_path):
     assert children_of(program.process.pid) == []
 
 
+@pytest.mark.parametrize(
+    ('node', 'given', 'meant'),
+    [
+        ('pmac', 'y_linear.Ixx3O:=5', 'y_linear.Ixx3'),
+        ('plant', 'descripton:=flexible', 'description'),
+        ('copley', 'x_rotate.bus_volts:=24.0', 'x_rotate.bus_voltage'),
+    ],
+)
+def test_a_parameter_that_a_node_does_not_have_is_an_error(start, domain, node, given, meant):
+    program = start_node(start, node, domain, given)
+    assert program.wait(PATIENCE_S) == 1
+    assert 'Traceback' not in program.output
+    name = given.split(':')[0]
+    assert f"{node} has no parameter '{name}'; did you mean '{meant}" in program.output
+
+
 def test_a_run_without_a_peer_gives_up_with_its_name(start, domain):
     node = start_node(start, 'copley', domain, 'startup_timeout_s:=1.5')
     assert node.wait(PATIENCE_S) == 1

@@ -37,7 +37,7 @@ def test_the_rigid_model_lacks_the_75_hz_line_of_the_machine_as_built(as_built, 
     assert 'lacks the resonance at' in told['sentence']
     again = waferbot('frf', str(as_built), '--out', str(out))
     assert again.returncode == 1
-    assert 'holds frf.png; choose another folder or give --force' in again.stderr
+    assert 'exists already; choose another folder or give --force' in again.stderr
 
 
 def test_the_model_that_made_the_log_has_all_its_peaks(as_built):

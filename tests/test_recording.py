@@ -174,7 +174,7 @@ def write_with_hole(folder, topic, hole, ticks=400):
 
     timing = Timing()
     account = Account(timing)
-    writer = RecordingWriter(folder, {'run.json': '{}'})
+    writer = RecordingWriter(folder, {'run.json': '{}'}, live=True)
     for one in CONTRACT_TOPICS:
         wire = WireFormat(getattr(waferbot_msgs.msg, one.message))
         writer.add_topic(f'/{one.name}', one.type_name)
@@ -364,7 +364,7 @@ def test_force_replaces_recordings_only(tmp_path):
         'run', '--engine', 'inprocess', '--duration', '0.01', '--out', out, '--force'
     )
     assert result.returncode == 1
-    assert 'no recording' in result.stderr
+    assert 'it holds chapter.txt, which waferbot did not write' in result.stderr
     assert (tmp_path / 'thesis' / 'chapter.txt').read_text() == 'years of work'
 
 

@@ -62,6 +62,10 @@ class CopleyNode(LockstepNode):
         self.create_service(Trigger, '~/reset_faults', self._on_reset_faults)
         self.create_service(SetBool, '~/safe_torque_off', self._on_safe_torque_off)
 
+    def parameters_of_others(self) -> list[str]:
+        """Return the settings of axes that other nodes drive; a file may hold those of all."""
+        return [f'{axis}.{setting.name}' for axis in AXES for setting in settings_of(axis)]
+
     @property
     def tick(self) -> int:
         """The tick whose voltages come next."""

@@ -2,10 +2,18 @@
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.parameters import Parameter, check_settings, check_value
+from waferbot_lockstep.parameters import Parameter, check_settings, check_value, did_you_mean
 
 GAIN = Parameter('gain', 2000, 'DAC bits', 0, 32767, 'a gain', integer=True)
 TIME = Parameter('time', 1.0, 's', 0.0, 10.0, 'a time')
+
+
+def test_a_name_that_looks_the_same_is_the_nearest() -> None:
+    known = ['Ixx63', 'Ixx30', 'Ixx31', 'payload']
+    assert did_you_mean('Ixx3O', known) == "; did you mean 'Ixx30'?"
+    assert did_you_mean('Ixx3l', known) == "; did you mean 'Ixx31'?"
+    assert did_you_mean('PAYLOAD', known) == "; did you mean 'payload'?"
+    assert did_you_mean(3, known) == did_you_mean('', known) == ''
 
 
 def test_whole_number_is_taken_for_a_real_one():

@@ -13,10 +13,13 @@ after a digest of all their sources. Import this module before any other that co
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
 import shutil
+import sys
+import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -51,9 +54,34 @@ def source_digest() -> str:
 def cache_folder() -> Path:
     """Return the folder for compiled code: below NUMBA_CACHE_DIR or the user's cache folder."""
     base = os.environ.get('NUMBA_CACHE_DIR') or os.path.join(
-        os.environ.get('XDG_CACHE_HOME') or os.path.join(Path.home(), '.cache'), 'waferbot'
+        os.environ.get('XDG_CACHE_HOME') or os.path.join(os.path.expanduser('~'), '.cache'),
+        'waferbot',
     )
     return Path(base) / source_digest()
+
+
+def writable(folder: Path) -> bool:
+    """Make a folder, if it lacks, and tell whether files can be written to it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def keep_for_this_process_only(reason: str) -> None:
+    """Compile into a temporary folder, which this process removes at its end, and say so."""
+    folder = tempfile.mkdtemp(prefix='waferbot-compiled-')
+    owner = os.getpid()
+
+    def remove() -> None:
+        if os.getpid() == owner:  # and not in a child that was forked
+            shutil.rmtree(folder, ignore_errors=True)
+
+    atexit.register(remove)
+    os.environ['NUMBA_CACHE_DIR'] = folder  # processes that this one starts use it too
+    print(f'{reason}; the compilation of the model is not kept', file=sys.stderr)
 
 
 def compiled_before() -> bool:
@@ -63,17 +91,22 @@ def compiled_before() -> bool:
 
 def drop_old_caches(folder: Path, kept: int = 8) -> None:
     """Remove the compiled code of all but the newest few versions of the sources."""
-    if folder.exists() or not folder.parent.exists():
-        return
-    versions = sorted(
-        (path for path in folder.parent.iterdir() if re.fullmatch('[0-9a-f]{16}', path.name)),
-        key=lambda path: path.stat().st_mtime,
-    )
+    try:
+        if folder.exists() or not folder.parent.exists():
+            return
+        versions = sorted(
+            (path for path in folder.parent.iterdir() if re.fullmatch('[0-9a-f]{16}', path.name)),
+            key=lambda path: path.stat().st_mtime,
+        )
+    except OSError:
+        return  # nobody may look there, or another process has just removed one
     for path in versions[: max(0, len(versions) - kept + 1)]:
         shutil.rmtree(path, ignore_errors=True)
 
 
 drop_old_caches(cache_folder())
+if not writable(cache_folder()):
+    keep_for_this_process_only(f'{cache_folder().parent} cannot be written to')
 numba.config.CACHE_DIR = str(cache_folder())  # type: ignore[attr-defined]
 numba.config.DISABLE_INTEL_SVML = True  # type: ignore[attr-defined]
 

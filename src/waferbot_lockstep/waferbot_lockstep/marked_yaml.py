@@ -3,12 +3,13 @@
 YAML that remembers where every key stands, so that an error can name file, line and key.
 
 Every file that a user writes is read through here: machine descriptions, models, experiments,
-settings. It is YAML's safe subset, with four differences:
+settings. It is YAML's safe subset, with five differences:
 
 - `1e-3` is a number, as in YAML 1.2 (YAML 1.1 takes it for text);
 - a key given twice is an error, not a silent replacement;
 - aliases (`*name`) are refused: they can expand without bound, and would blur whose line it was;
-- a key is a plain word or number, and nesting has a bound.
+- a key is a plain word, and nesting has a bound;
+- whole numbers have one too.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from typing import Any
 import yaml
 
 from waferbot_lockstep.errors import UserError
+
+LARGEST = 2**64
+"""Whole numbers beyond it are refused: no setting needs them, and arithmetic would fail on them."""
 
 Key = tuple[Any, ...]
 """Path of a value in a document: keys and list places from the root."""
@@ -139,7 +143,13 @@ def _mark(
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
                 raise UserError(f'{source}, line {line}: a key must be a plain word')
-            inner = (*key, loader.construct_object(key_node))
+            name = loader.construct_object(key_node)
+            if not isinstance(name, str):
+                raise UserError(
+                    f'{source}, line {line}: a key must be a plain word; {key_node.value!r} is read as '
+                    f'{name!r}. Put it in quotes if it is meant as a word'
+                )
+            inner = (*key, name)
             if inner in places:
                 raise UserError(
                     f'{source}, line {line}: {key_text(inner)} is given twice, '
@@ -151,6 +161,9 @@ def _mark(
         for place, item in enumerate(node.value):
             places[(*key, place)] = source, item.start_mark.line + 1
             _mark(loader, item, (*key, place), source, places)
+    elif node.tag == 'tag:yaml.org,2002:int' and abs(loader.construct_object(node)) > LARGEST:
+        line = node.start_mark.line + 1
+        raise UserError(f'{source}, line {line}: {key_text(key)}: {node.value[:20]} is too large')
 
 
 def merge(base: Document, overlay: Document) -> None:

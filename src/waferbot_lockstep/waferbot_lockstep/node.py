@@ -42,7 +42,9 @@ from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
 from waferbot_lockstep.errors import LockstepError, UserError
 from waferbot_lockstep.inbox import Inbox, NewestInput
 from waferbot_lockstep.interrupt import Interrupt
-from waferbot_lockstep.parameters import Parameter, Value, check_value
+from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
+from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
+from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 
@@ -53,26 +55,6 @@ FAREWELL_LIMIT_S = 7.0
 DIAGNOSTICS_PERIOD_S = 1.0
 WAITING_NOTICE_PERIOD_S = 5.0
 INTERRUPTED = 'interrupted by the user'
-
-LOCKSTEP = 'lockstep'
-REALTIME = 'realtime'
-
-NODE_SETTINGS = (
-    Parameter('current_loop_hz', 18000, 'Hz', 1, 1_000_000, 'rate of the tick', True, True),
-    Parameter(
-        'encoder_divider', 2, 'ticks', 1, 1000, 'ticks between encoder messages', True, True
-    ),
-    Parameter('servo_divider', 8, 'ticks', 1, 1000, 'ticks between servo cycles', True, True),
-    Parameter(
-        'end_tick', 0, 'ticks', 0, 2**53, 'the node ends before this tick; 0: never', True, True
-    ),
-    Parameter(
-        'peer_timeout_s', 2.0, 's', 0.2, 3600.0, 'wall time of silence after which a peer is gone'
-    ),
-    Parameter(
-        'startup_timeout_s', 0.0, 's', 0.0, 3600.0, 'wall time to wait for peers; 0: for ever'
-    ),
-)
 
 
 def lockstep_qos(depth: int = HISTORY_DEPTH) -> QoSProfile:
@@ -161,7 +143,12 @@ class LockstepNode(Node):
     # ---- life ------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Start the signs of life; called once, after the node is complete."""
+        """
+        Start the signs of life; called once, after the node is complete.
+
+        Raises `UserError` if the node was given a parameter that it does not have.
+        """
+        self._refuse_unknown_parameters()
         self._begun_s = self._noticed_s = time.monotonic()
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SIGN_OF_LIFE_PERIOD_S, self._on_sign_of_life, clock=wall)
@@ -389,6 +376,20 @@ class LockstepNode(Node):
         except InvalidParameterValueException as error:
             raise UserError(f'parameter {name}: {error}') from error
 
+    def parameters_of_others(self) -> Iterable[str]:
+        """Return names that a file may give to this node though only a node of its kind has them."""
+        return ()
+
+    def _refuse_unknown_parameters(self) -> None:
+        """ROS passes over parameters that nobody declares; a misspelt one would have no effect."""
+        declared = set(self.list_parameters([], 0).names)
+        known = declared.union(self.parameters_of_others())
+        for name in self._parameter_overrides:
+            if name not in known and not name.startswith('qos_overrides.'):
+                raise UserError(
+                    f'{self.get_name()} has no parameter {name!r}{did_you_mean(name, known)}'
+                )
+
     def _check_parameters(self, parameters: list[RosParameter]) -> SetParametersResult:
         for parameter in parameters:
             declared = self._checks.get(parameter.name)
@@ -489,6 +490,7 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
     # Discovery stays on this machine unless the user asks for more.
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     interrupt = Interrupt()
+    ensure_log_folder()
     rclpy.init(
         args=None if arguments is None else list(arguments),
         signal_handler_options=SignalHandlerOptions.NO,

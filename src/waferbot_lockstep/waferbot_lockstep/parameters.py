@@ -78,9 +78,17 @@ def check_settings(
     }
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Return `; did you mean 'x'?` for the nearest of the `known` names, or nothing."""
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """
+    Return `; did you mean 'x'?` for the nearest of the `known` names, or nothing.
+
+    A name that only looks the same (O for 0, l for 1, large for small) is nearer than any other.
+    """
     import difflib
 
-    nearest = difflib.get_close_matches(name, list(known), n=1)
+    text, names = str(name), list(known)
+    looks = str.maketrans('oli', '011')
+    shape = text.casefold().translate(looks)
+    nearest = [one for one in names if one.casefold().translate(looks) == shape]
+    nearest = nearest or difflib.get_close_matches(text, names, n=1)
     return f'; did you mean {nearest[0]!r}?' if nearest else ''

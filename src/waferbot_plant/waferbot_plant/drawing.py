@@ -20,10 +20,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from numpy.typing import NDArray
 
+from waferbot_lockstep.atomic_files import replacing
 from waferbot_plant import motors, plant
 from waferbot_plant.description import BASE, Description, Freedom, Joint
 from waferbot_plant.modes import Mode
 from waferbot_plant.plant import Machine
+
+matplotlib.rcParams['text.parse_math'] = False  # a $ in a name is a $
 
 Vector = NDArray[np.float64]
 
@@ -190,13 +193,15 @@ def _subplots(
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write the figure; the same figure gives the same bytes."""
+    """Write the figure, whole; the same figure gives the same bytes. Raises `OSError`."""
     inches = figure.get_figheight()
     figure.tight_layout(rect=(0.0, 0.55 / inches, 1.0, 1.0 - 0.2 / inches))
-    path.parent.mkdir(parents=True, exist_ok=True)
     metadata = {'.svg': {'Date': None}, '.pdf': {'CreationDate': None}}.get(path.suffix, {})
-    with matplotlib.rc_context({'svg.hashsalt': 'waferbot', 'svg.fonttype': 'none'}):
-        figure.savefig(path, dpi=100, metadata=metadata)
+    with (
+        matplotlib.rc_context({'svg.hashsalt': 'waferbot', 'svg.fonttype': 'none'}),
+        replacing(path) as stream,
+    ):
+        figure.savefig(stream, dpi=100, format=path.suffix[1:], metadata=metadata)
 
 
 # ---- the mechanism ---------------------------------------------------------------------------

@@ -26,6 +26,7 @@ import scipy.linalg
 import yaml
 from numpy.typing import NDArray
 
+from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import plant, statics
 from waferbot_plant.assembly import Behaviour
@@ -141,7 +142,7 @@ def write_switches(
         'extends': base,
         'connections': {name: {'state': state} for name, state in switches.items()},
     }
-    path.write_text(yaml.safe_dump(data, sort_keys=False), encoding='utf-8')
+    write_text(path, yaml.safe_dump(data, sort_keys=False))
 
 
 def stiffness_at(

@@ -35,7 +35,6 @@ from waferbot_lockstep.contract import (
     Topic,
 )
 from waferbot_lockstep.node import LOCKSTEP, REALTIME, LockstepNode, lockstep_qos, run_node
-from waferbot_lockstep.parameters import Parameter
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
@@ -45,18 +44,8 @@ from waferbot_lockstep.standard_messages import (
 from waferbot_msgs.msg import Recorded
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
+from waferbot_plant.node_settings import PLANT_SETTINGS
 from waferbot_plant.urdf import urdf
-
-PLANT_SETTINGS = (
-    Parameter(
-        'realtime_factor', 1.0, '', 1e-3, 100.0, 'sim seconds per wall second in real time', fixed=True
-    ),
-    Parameter(
-        'recorder_window', 0, 'ticks', 0, 1_000_000,
-        'in lock-step, how far the plant may be ahead of a recorder; 0: it waits for none',
-        integer=True, fixed=True,
-    ),
-)  # fmt: skip
 
 LONGEST_STRETCH_TICKS = 1800
 """In real time, ticks that may be made up for at once after a delay (0.1 s) before others are served."""

@@ -217,7 +217,7 @@ def test_calibrate_command(tmp_path, capsys) -> None:
     assert main([*arguments, '--out', str(out)]) == 0
     result = json.loads(capsys.readouterr().out)
     assert len(result['y_rotate']['rows']) == 12
-    assert sorted(path.name for path in out.iterdir()) == [
+    assert sorted(path.name for path in out.glob('[!.]*')) == [
         'as_built_overlay.yaml', 'calibrated.yaml', 'machine_overlay.yaml', 'pmac.yaml',
     ]  # fmt: skip
     assert main([*arguments, '--out', str(out)]) == 1

@@ -46,6 +46,21 @@ def test_model_is_laid_over_the_settings_of_the_packages(tmp_path: Path) -> None
         ('plant:\n  ros__parameters: 5', 'line 2: plant.ros__parameters: must be a mapping'),
         ('plant:\n  ros__parameters: {}\nplant: {}', 'line 3: plant is given twice'),
         ('plant: [1', 'not valid YAML'),
+        (
+            'plant:\n  ros__parameters: {descripton: flexible}',
+            "line 2: plant.ros__parameters.descripton: plant has no such parameter; did you mean 'desc",
+        ),
+        (
+            'pmac:\n  ros__parameters:\n    y_linear:\n      Ixx3O: 5',
+            "line 4: pmac.ros__parameters.y_linear.Ixx3O: pmac has no setting 'Ixx3O' of an axis; did",
+        ),
+        (
+            'pmac:\n  ros__parameters: {y_linear.Ixx3O: 5}',
+            'line 2: pmac.ros__parameters.y_linear.Ixx3O',
+        ),
+        ('pmac: {ros__parameters: {y_liner: {}}}', "did you mean 'y_linear'?"),
+        ('copley: {ros__parameters: {y_linear: {bus_volts: 48}}}', "did you mean 'bus_voltage'?"),
+        ('copley: {ros__parameters: {y_linear: 48}}', 'must be a mapping of names to values'),
         ('- plant', 'line 1: must be a mapping'),
     ],
 )
@@ -55,6 +70,19 @@ def test_mistakes_are_told_with_file_and_line(tmp_path: Path, text: str, message
     with pytest.raises(UserError, match=re.escape(message)) as caught:
         load_model(str(path))
     assert '\n' not in str(caught.value)
+
+
+def test_a_dotted_name_is_the_same_as_a_mapping(tmp_path: Path) -> None:
+    path = tmp_path / 'own.yaml'
+    path.write_text('/**/pmac:\n  ros__parameters: {y_linear.Ixx30: 1234, y_linear: {Ixx31: 7}}\n')
+    changed = load_model(str(path)).parameters['pmac']['y_linear']
+    assert (changed['Ixx30'], changed['Ixx31']) == (1234, 7)
+
+
+def test_what_every_node_has_may_stand_in_a_model(tmp_path: Path) -> None:
+    path = tmp_path / 'own.yaml'
+    path.write_text('plant: {ros__parameters: {peer_timeout_s: 9.0, realtime_factor: 0.5}}\n')
+    assert load_model(str(path)).parameters['plant']['peer_timeout_s'] == 9.0
 
 
 def test_unknown_model_is_answered_with_the_known_ones() -> None:

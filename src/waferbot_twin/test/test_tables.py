@@ -131,7 +131,9 @@ def test_known_deviations_name_rows() -> None:
 
 
 def test_report(tmp_path, tables: list[Table], runs: Runs) -> None:
-    page = write_report(tmp_path / 'report', tables, runs, 'waferbot tables').read_text('utf-8')
+    (tmp_path / 'report').mkdir()
+    write_report(tmp_path / 'report', tables, runs, 'waferbot tables')
+    page = (tmp_path / 'report' / 'index.html').read_text('utf-8')
     for figure in figures():
         assert f'src="{figure.name}.png"' in page
         assert (tmp_path / 'report' / f'{figure.name}.png').stat().st_size > 10_000

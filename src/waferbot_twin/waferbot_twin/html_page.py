@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports as one HTML page, with their pictures inside, in a folder of their own."""
+"""Reports as one HTML page, with their pictures inside; pictures as files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.atomic_files import replacing
+
+matplotlib.rcParams['text.parse_math'] = False  # a $ in the name of a log is a $
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 70rem; margin: 2rem auto; padding: 0 1rem; }
@@ -51,17 +53,15 @@ def save_picture(figure: Figure, file: Path | io.BytesIO) -> None:
     plt.close(figure)
 
 
-def prepare_folder(folder: Path, force: bool) -> None:
+def save_drawing(figure: Figure, file: Path) -> None:
     """
-    Make the folder of a report; raises `UserError` if it exists, unless `force` and it holds one.
+    Write a figure as what the name of `file` ends in (`.png`, `.svg`, `.pdf`), whole, and close it.
 
-    Done before the diagnosis, so that nobody waits for a result that cannot be written.
+    Raises `OSError` if it cannot be written; what was there stays then.
     """
-    if folder.exists() and not force:
-        raise UserError(f'--out {folder} exists; choose another folder or give --force')
-    if folder.exists() and not (folder / 'report.json').exists() and any(folder.iterdir()):
-        raise UserError(f'--out {folder} holds no report; --force only replaces reports')
+    metadata = {'Software': 'waferbot'} if file.suffix == '.png' else None
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f'--out {folder} cannot be made: {error.strerror}') from error
+        with replacing(file) as stream:
+            figure.savefig(stream, dpi=110, format=file.suffix[1:], metadata=metadata)
+    finally:
+        plt.close(figure)

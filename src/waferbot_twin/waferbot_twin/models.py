@@ -18,7 +18,7 @@ Names of shipped models are the file names in `share/waferbot_twin/config/models
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,17 +26,33 @@ from typing import Any
 import yaml
 from ament_index_python.packages import get_package_share_directory
 
+from waferbot_copley.settings import settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, parse, read
-from waferbot_lockstep.parameters import did_you_mean
+from waferbot_lockstep.marked_yaml import Document, Key, parse, read
+from waferbot_lockstep.node_settings import NODE_PARAMETERS
+from waferbot_lockstep.parameters import Parameter, did_you_mean
+from waferbot_plant.node_settings import PLANT_PARAMETERS
 from waferbot_plant.plant import description_names
+from waferbot_pmac.i_variables import axis_parameters
 from waferbot_twin.recording.reader import Recording
 
 DESCRIPTION_KEYS = frozenset({'bodies', 'joints', 'extends'})
 """Keys by which the description of a machine is known from a file of parameters."""
 
 NODES = ('plant', 'pmac', 'copley')
+
+
+_OF_NODE: dict[str, tuple[str, ...]] = {
+    'plant': PLANT_PARAMETERS,
+    'pmac': ('experiment',),
+    'copley': ('axes',),
+}
+_OF_AXIS: dict[str, Callable[[str], Iterable[Parameter]]] = {
+    'pmac': axis_parameters,
+    'copley': settings_of,
+}
+"""Parameters that a node has beside those of all nodes: of its own, and of each axis."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +103,8 @@ def load_model(name_or_path: str) -> Model:
     Return a shipped model by name, or a model from a file.
 
     Raises `UserError` for an unknown name, and for a file that is no ROS 2 parameter file for the
-    nodes `plant`, `pmac` and `copley`; the parameters themselves are checked by what uses them.
+    nodes `plant`, `pmac` and `copley` or names a parameter that they do not have; the values are
+    checked by what uses them.
     """
     path = Path(name_or_path)
     if path.suffix not in ('.yaml', '.yml') and not path.exists():
@@ -167,8 +184,44 @@ def _sections(document: Document) -> dict[str, dict[str, Any]]:
         parameters = section['ros__parameters'] or {}
         if not isinstance(parameters, dict):
             raise document.error((key, 'ros__parameters'), 'must be a mapping of names to values')
-        _lay_over(sections.setdefault(node, {}), parameters)
+        place = (key, 'ros__parameters')
+        _lay_over(sections.setdefault(node, {}), _known(document, place, node, parameters))
     return sections
+
+
+def _known(
+    document: Document, place: Key, node: str, parameters: Mapping[str, Any]
+) -> dict[str, Any]:
+    """
+    Return parameters of a node, mapping by mapping; `y_linear.Ixx30: 1` is what ROS takes, too.
+
+    Raises `UserError` for a name that the node does not have.
+    """
+    axes = AXES if node in _OF_AXIS else ()
+    nested: dict[str, Any] = {}
+    for name, value in parameters.items():
+        axis, dot, inner = name.partition('.')
+        if axis not in axes:
+            known = (*axes, *_OF_NODE[node], *NODE_PARAMETERS)
+            if name not in known:
+                raise document.error(
+                    (*place, name), f'{node} has no such parameter{did_you_mean(name, known)}'
+                )
+            nested[name] = value
+            continue
+        settings = {inner: value} if dot else value
+        if not isinstance(settings, dict):
+            raise document.error((*place, name), 'must be a mapping of names to values')
+        settings_known = [setting.name for setting in _OF_AXIS[node](axis)]
+        for setting in settings:
+            if setting not in settings_known:
+                raise document.error(
+                    (*place, name) if dot else (*place, name, setting),
+                    f'{node} has no setting {setting!r} of an axis'
+                    f'{did_you_mean(setting, settings_known)}',
+                )
+        _lay_over(nested.setdefault(axis, {}), settings)
+    return nested
 
 
 def _lay_over(below: dict[str, Any], above: Mapping[str, Any]) -> None:

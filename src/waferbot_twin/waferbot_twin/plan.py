@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-import subprocess
 import sys
 from dataclasses import dataclass
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.timing import Timing
@@ -18,6 +16,7 @@ from waferbot_plant.plant import description_source
 from waferbot_pmac.experiments import Experiment, load_experiment
 from waferbot_twin.models import Model, load_model
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.version import git_revision
 
 VERSIONED = ('numpy', 'scipy', 'numba', 'mcap', 'ros-jazzy-rclpy', 'ros-jazzy-rmw-fastrtps-cpp')
 
@@ -79,20 +78,5 @@ def versions() -> dict[str, Any]:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             continue
-    found['git'] = _git_revision()
+    found['git'] = git_revision()
     return found
-
-
-def _git_revision() -> str | None:
-    folder = Path(__file__).resolve().parent
-    try:
-        described = subprocess.run(
-            ['git', '-C', str(folder), 'describe', '--always', '--dirty', '--abbrev=12'],
-            capture_output=True,
-            text=True,
-            timeout=5,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return described.stdout.strip()

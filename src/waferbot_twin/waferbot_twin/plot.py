@@ -12,8 +12,8 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from waferbot_twin.html_page import save_drawing
 from waferbot_twin.recording.reader import Recording
 from waferbot_twin.response import AxisResponse, axis_responses
 
@@ -46,7 +46,8 @@ def plot_recording(recording: Recording, file: Path) -> None:
         panels[2][column].set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
     figure.suptitle(f'{recording.path.name}: {title}', fontsize=11)
-    _save(figure, file)
+    figure.tight_layout()
+    save_drawing(figure, file)
 
 
 def _draw_position(panel: Axes, response: AxisResponse) -> None:
@@ -90,12 +91,3 @@ def _draw_current(panel: Axes, response: AxisResponse) -> None:
     panel.set_ylabel('current [A]')
     panel.legend(loc='upper right', fontsize=8)
     panel.grid(alpha=0.3)
-
-
-def _save(figure: Figure, file: Path) -> None:
-    figure.tight_layout()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(
-        file, dpi=110, metadata={'Software': 'waferbot'} if file.suffix == '.png' else None
-    )
-    plt.close(figure)

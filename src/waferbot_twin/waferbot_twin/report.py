@@ -17,7 +17,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from waferbot_lockstep.contract import AXES
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import significant
 from waferbot_twin.plot import TITLES, scaled_unit
 from waferbot_twin.response import AxisResponse
@@ -93,21 +92,11 @@ def figures() -> list[Figure]:
     return found
 
 
-def write_report(folder: Path, tables: list[Table], runs: Runs, command: str) -> Path:
-    """
-    Write `index.html` and its pictures into `folder`; returns the page.
-
-    Raises `UserError` if the folder cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for figure in figures():
-            draw(figure, runs, folder / f'{figure.name}.png')
-        page = folder / 'index.html'
-        page.write_text(_page(tables, command), encoding='utf-8')
-    except OSError as error:
-        raise UserError(f'{folder}: {error.strerror}') from error
-    return page
+def write_report(folder: Path, tables: list[Table], runs: Runs, command: str) -> None:
+    """Write `index.html` and its pictures into an existing folder."""
+    for figure in figures():
+        draw(figure, runs, folder / f'{figure.name}.png')
+    (folder / 'index.html').write_text(_page(tables, command), encoding='utf-8')
 
 
 def draw(figure: Figure, runs: Runs, file: Path) -> None:

@@ -26,15 +26,15 @@ from typing import Any
 
 import yaml
 
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import (
     new_table,
     print_json,
     progress_bar,
     result_console,
-    say,
     significant,
 )
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 QUICK_GENERATIONS = 3
 STAGES = ('payload', 'y_rotate', 'as_built_payload', 'as_built_y_rotate')
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     how.add_argument('--quick', action='store_true', help='a few generations, about a minute')
     how.add_argument('--evaluate', action='store_true', help='only evaluate the shipped values')
     parser.add_argument('--out', type=Path, metavar='DIR', help='write the result to this folder')
-    parser.add_argument('--force', action='store_true', help='replace files in --out')
+    parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -59,8 +59,7 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.calibration.search import search
     from waferbot_twin.calibration.values import calibrated
 
-    if options.out and options.out.exists() and not options.force:
-        raise UserError(f'{options.out} exists; choose another folder or give --force')
+    output = OutputFolder(options.out, options.force) if options.out else None
     generations = 0 if options.evaluate else QUICK_GENERATIONS if options.quick else None
     values = calibrated()
     as_built = calibrated('as_built_payload', 'as_built_y_rotate')
@@ -87,15 +86,13 @@ def execute(options: argparse.Namespace) -> int:
             ],
             'run_time_s': time.perf_counter() - begun_s,
         }
-    if options.out:
-        _write(options.out, values, as_built)
-        say(f'written to {options.out}')
+    kept = keep(output, lambda folder: _write(folder, values, as_built))
     if options.json:
         print_json(result)
     else:
         for name, stage_result in result.items():
             _print(name, stage_result)
-    return 0
+    return kept.tell('written to {}')
 
 
 def _print(name: str, result: dict[str, Any]) -> None:
@@ -137,9 +134,5 @@ def _write(folder: Path, values: dict[str, float], as_built: dict[str, float]) -
         'pmac.yaml': {'/**/pmac': {'ros__parameters': candidate(values).variables}},
         'as_built_overlay.yaml': as_built_overlay(as_built),
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in contents.items():
-            (folder / file).write_text(yaml.safe_dump(content, sort_keys=False), 'utf-8')
-    except OSError as error:
-        raise UserError(f'{folder}: {error.strerror}') from error
+    for file, content in contents.items():
+        (folder / file).write_text(yaml.safe_dump(content, sort_keys=False), 'utf-8')

@@ -25,6 +25,8 @@ from rich.table import Table
 
 from waferbot_twin.cli import run
 from waferbot_twin.cli.console import print_json, progress_bar, result_console, say
+from waferbot_twin.cli.keeping import Kept, keep
+from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
@@ -50,15 +52,15 @@ def execute(options: argparse.Namespace) -> int:
     at_work = _at_work(options.out)
     if not options.json:
         _print(at_work)
-    diagnosis = _diagnose(options.out / 'diagnosis')
+    diagnosis, kept = _diagnose(options.out / 'diagnosis')
     if options.json:
         from waferbot_twin.diagnosis.report import as_dict
 
         print_json({**at_work, 'diagnosis': as_dict(diagnosis)})
     else:
-        _print_diagnosis(diagnosis, options.out / 'diagnosis')
+        _print_diagnosis(diagnosis, kept.folder)
     same = not at_work['differing_signals'] and all(at_work['replay_identical'].values())
-    return 0 if same else 1
+    return 0 if same and kept.as_asked else 1
 
 
 def _at_work(folder: Path) -> dict[str, Any]:
@@ -103,12 +105,11 @@ def logs() -> Path:
     return Path(get_package_share_directory('waferbot_twin')) / 'config' / 'demo'
 
 
-def _diagnose(folder: Path) -> Diagnosis:
+def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:
     """Diagnose the logs that come with the package against the rigid model."""
     from waferbot_twin.diagnosis.diagnose import diagnose
     from waferbot_twin.diagnosis.report import write
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
     from waferbot_twin.residuals.load import load_records
 
@@ -116,7 +117,7 @@ def _diagnose(folder: Path) -> Diagnosis:
     nominal = Variant.of(load_model('rigid'))
     finding = load_records([logs() / name for name in FINDING], nominal)
     judging = load_records([logs() / name for name in JUDGING], nominal)
-    prepare_folder(folder, force=True)
+    output = OutputFolder(folder, force=True)
     with progress_bar('diagnosis') as bar:
         diagnosis = diagnose(
             nominal,
@@ -125,19 +126,19 @@ def _diagnose(folder: Path) -> Diagnosis:
             lambda what, done, total: bar(done, total),
             os.cpu_count() or 1,
         )
-    write(diagnosis, folder)
-    return diagnosis
+    return diagnosis, keep(output, lambda place: write(diagnosis, place))
 
 
-def _print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
+def _print_diagnosis(diagnosis: Diagnosis, folder: Path | None) -> None:
     from waferbot_twin.diagnosis.console_report import print_diagnosis
     from waferbot_twin.thesis import thesis
 
     steps = thesis()['steps']
     gains = {axis: float(steps[axis]['improvement']['rms_error']) for axis in steps}
     print_diagnosis(diagnosis, gains, 'flexible over rigid in the thesis [%]')
-    print(f'report:  {folder / "report.html"}')
-    print(f'model:   ./waferbot run --model {folder / "extended.yaml"}')
+    if folder is not None:
+        print(f'report:  {folder / "report.html"}')
+        print(f'model:   ./waferbot run --model {folder / "extended.yaml"}')
 
 
 def _run_options(engine: str, out: Path) -> argparse.Namespace:

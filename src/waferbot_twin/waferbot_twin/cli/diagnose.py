@@ -16,7 +16,9 @@ import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import print_json, progress_bar, say
+from waferbot_twin.cli.console import print_json, progress_bar
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +51,6 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.diagnosis.report import as_dict, write
     from waferbot_twin.effects import find
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model_or_machine
     from waferbot_twin.residuals.load import load_records
 
@@ -60,7 +61,7 @@ def execute(options: argparse.Namespace) -> int:
     nominal = Variant.of(load_model_or_machine(options.model))
     records = load_records([*options.measured, *options.validate], nominal)
     estimation, validation = records[: len(options.measured)], records[len(options.measured) :]
-    prepare_folder(options.out, options.force)
+    output = OutputFolder(options.out, options.force)
     with cluster(options.cluster) as cores, progress_bar('diagnosis') as bar:
         diagnosis = diagnose(
             nominal,
@@ -70,10 +71,9 @@ def execute(options: argparse.Namespace) -> int:
             cores or options.workers,
             options.without,
         )
-    write(diagnosis, options.out)
+    kept = keep(output, lambda folder: write(diagnosis, folder))
     if options.json:
         print_json(as_dict(diagnosis))
-        return 0
-    print_diagnosis(diagnosis)
-    say(f'report: {options.out / "report.html"}')
-    return 0
+    else:
+        print_diagnosis(diagnosis)
+    return kept.tell('report: {}/report.html')

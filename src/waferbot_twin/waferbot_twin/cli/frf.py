@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, result_console, say, significant
+from waferbot_twin.cli.console import new_table, print_json, result_console, significant
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 if TYPE_CHECKING:
     from waferbot_twin.frequency_response.compare import Comparison
@@ -58,8 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--map', dest='mapping', metavar='FILE', help='mapping of logs that are text'
     )
-    parser.add_argument('--out', type=Path, metavar='DIR', help='a folder for picture and JSON')
-    parser.add_argument('--force', action='store_true', help='replace them in DIR')
+    parser.add_argument(
+        '--out', type=Path, metavar='DIR', help='a new folder for picture and JSON'
+    )
+    parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -76,8 +80,7 @@ def execute(options: argparse.Namespace) -> int:
         value = getattr(options, option)
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise UserError(f'--{option} is {value:g} Hz; it must be above 0')
-    if options.out is not None:
-        _prepare(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     variant = Variant.of(load_model_or_machine(options.model))
     logs = [read_log(path, options.mapping, options.model, variant) for path in options.logs]
     axis = options.axis or channels.moving_axis(logs)
@@ -89,27 +92,17 @@ def execute(options: argparse.Namespace) -> int:
     comparison = compare(
         logs, chosen, variant, options.resolution, options.highest, options.direct
     )
-    if options.out is not None:
-        draw(comparison, options.out / FILES[0])
-        (options.out / FILES[1]).write_text(as_json(as_dict(comparison)) + '\n', 'utf-8')
+
+    def write(folder: Path) -> None:
+        draw(comparison, folder / FILES[0])
+        (folder / FILES[1]).write_text(as_json(as_dict(comparison)) + '\n', 'utf-8')
+
+    kept = keep(output, write)
     if options.json:
         print_json(as_dict(comparison))
-        return 0
-    _print(comparison)
-    if options.out is not None:
-        say(f'drew {options.out / FILES[0]}; all numbers are in {options.out / FILES[1]}')
-    return 0
-
-
-def _prepare(folder: Path, force: bool) -> None:
-    """Make the folder before anything is reckoned; raises `UserError`."""
-    taken = [name for name in FILES if (folder / name).exists()]
-    if taken and not force:
-        raise UserError(f'--out {folder} holds {taken[0]}; choose another folder or give --force')
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UserError(f'--out {folder} cannot be made: {error.strerror}') from error
+    else:
+        _print(comparison)
+    return kept.tell(f'drew {{0}}/{FILES[0]}; all numbers are in {{0}}/{FILES[1]}')
 
 
 def _print(comparison: Comparison) -> None:

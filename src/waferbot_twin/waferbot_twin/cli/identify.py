@@ -23,7 +23,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 if TYPE_CHECKING:
     from waferbot_twin.identification.least_squares import Options
@@ -97,7 +99,6 @@ def execute(options: argparse.Namespace) -> int:
 
 def _simulation(options: argparse.Namespace) -> int:
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.identification.identify import identify
     from waferbot_twin.identification.named_parameters import parse_all
     from waferbot_twin.identification.report import as_dict, remarks, table_rows, write
@@ -108,15 +109,13 @@ def _simulation(options: argparse.Namespace) -> int:
     parameters = parse_all(options.parameter, nominal)
     records = load_records([*options.measured, *options.validate], nominal)
     records, judging = records[: len(options.measured)], records[len(options.measured) :]
-    if options.out is not None:
-        prepare_folder(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     with progress_bar('identification') as progress:
         result = identify(nominal, records, judging, parameters, progress)
-    if options.out is not None:
-        write(result, options.out)
+    kept = keep(output, lambda folder: write(result, folder))
     if options.json:
         print_json(as_dict(result))
-        return 0
+        return kept.tell('report: {}/report.html')
     table = new_table('parameter', 'unit', 'model', 'identified', '95 % from', 'to')
     for row in table_rows(result):
         table.add_row(*row)
@@ -128,14 +127,11 @@ def _simulation(options: argparse.Namespace) -> int:
             f'{item.log}, {item.axis}: RMS error {item.rms_before:.4g} to {item.rms_after:.4g} '
             f'{item.unit}, {item.improvement_percent:.1f} %'
         )
-    if options.out is not None:
-        say(f'report: {options.out / "report.html"}')
-    return 0
+    return kept.tell('report: {}/report.html')
 
 
 def _least_squares(options: argparse.Namespace) -> int:
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.identification.least_squares import identify_by_least_squares
     from waferbot_twin.identification.least_squares_report import (
         as_dict,
@@ -157,14 +153,12 @@ def _least_squares(options: argparse.Namespace) -> int:
         ]
         for paths in (options.measured, options.validate)
     )  # fmt: skip
-    if options.out is not None:
-        prepare_folder(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     result = identify_by_least_squares(logs, judges, variant, chosen)
-    if options.out is not None:
-        write(result, options.out)
+    kept = keep(output, lambda folder: write(result, folder))
     if options.json:
         print_json(as_dict(result))
-        return 0
+        return kept.tell('report: {}/report.html')
     table = new_table('axis', 'coefficient', 'value', '95 % from', 'to', 'unit')
     table.columns[1].justify = 'left'
     for row in table_rows(result):
@@ -172,9 +166,7 @@ def _least_squares(options: argparse.Namespace) -> int:
     result_console.print(table)
     for line in (*errors_in_words(result), *remarks(result)):
         print(line)
-    if options.out is not None:
-        say(f'report: {options.out / "report.html"}')
-    return 0
+    return kept.tell('report: {}/report.html')
 
 
 def _options(options: argparse.Namespace) -> Options:

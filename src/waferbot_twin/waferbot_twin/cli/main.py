@@ -10,13 +10,20 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
+import io
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.resources import files
+from types import FrameType
+from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
 
 COMMANDS = {
     'run': 'run',
@@ -49,6 +56,9 @@ def build_parser(chosen: str = '') -> argparse.ArgumentParser:
         description='Digital twin of a three-axis wafer-handling robot: run it, record it, replay it.',
         epilog='Each command has its own --help.',
     )
+    parser.add_argument(
+        '--version', action=_Version, help='tell the version, and from which commit it is'
+    )
     commands = parser.add_subparsers(dest='command', required=True, metavar='COMMAND')
     for name, module_name in COMMANDS.items():
         purpose = _docstring(module_name)
@@ -62,6 +72,20 @@ def build_parser(chosen: str = '') -> argparse.ArgumentParser:
     return parser
 
 
+class _Version(argparse.Action):
+    """Prints the version and ends; it is looked up only when it is asked for."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str) -> None:
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print it."""
+        from waferbot_twin.version import version_text
+
+        print(f'waferbot {version_text()}')
+        parser.exit()
+
+
 def _docstring(module_name: str) -> str:
     """Return the docstring of a command's module without importing it."""
     source = files('waferbot_twin.cli').joinpath(f'{module_name}.py').read_text('utf-8')
@@ -72,16 +96,78 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return 0 on success, 1 on an error (told in one line), 130 on Ctrl-C."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     chosen = next((argument for argument in arguments if not argument.startswith('-')), '')
-    options = build_parser(chosen).parse_args(arguments)
+    _print_any_name()
     try:
-        return int(options.execute(options) or EXIT_OK)
+        parser = build_parser(chosen)
+        if chosen and chosen not in COMMANDS:
+            parser.error(f'there is no command {chosen!r}{did_you_mean(chosen, COMMANDS)}')
+        options = parser.parse_args(arguments)
+        with _ended_in_order():
+            code = int(options.execute(options) or EXIT_OK)
+            sys.stdout.flush()
+            return code
     except UserError as error:
-        print(f'waferbot: error: {error}', file=sys.stderr)
-        return EXIT_ERROR
+        return _fail(str(error))
     except KeyboardInterrupt:
         print('waferbot: interrupted', file=sys.stderr)
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output (head, less) has had enough; that is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return EXIT_OK
+    except OSError as error:
+        return _fail(_in_words(error))
+    except MemoryError:
+        return _fail('there is not enough memory for this')
+
+
+def _fail(text: str) -> int:
+    """Tell an error in one line; return the exit code."""
+    print(f'waferbot: error: {" ".join(text.split())}', file=sys.stderr)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_output()  # the disk is full; Python would try again at the end, and complain
+    return EXIT_ERROR
+
+
+def _in_words(error: OSError) -> str:
+    """Return what the system says: the file, if it names one, and what is wrong with it."""
+    reason = error.strerror or str(error) or type(error).__name__
+    return reason if error.filename is None else f'{os.fsdecode(error.filename)}: {reason}'
+
+
+def _drop_output() -> None:
+    """Send what is still to be printed nowhere."""
+    with contextlib.suppress(OSError, ValueError):  # ValueError: no file is behind it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _print_any_name() -> None:
+    """Let every name be printed: a terminal may not know a letter, a file's name may be no text."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='backslashreplace')
+
+
+@contextlib.contextmanager
+def _ended_in_order() -> Iterator[None]:
+    """
+    Let SIGTERM, and SIGHUP of a closed terminal, end the command as Ctrl-C does.
+
+    What it had moved away is put back then, and what it had begun is removed.
+    """
+
+    def end(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before: dict[int, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) == signal.SIG_DFL:  # nohup ignores SIGHUP, and so do we
+                before[number] = signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for caught, handler in before.items():
+            signal.signal(caught, handler)

@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument('--plot', type=Path, metavar='FILE', help='draw the mode shapes')
     parser.add_argument('--draw', type=Path, metavar='FILE', help='draw the mechanism itself')
-    parser.add_argument('--force', action='store_true', help='replace the file of --write')
+    parser.add_argument('--force', action='store_true', help='replace files that are there')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -64,6 +64,10 @@ def execute(options: argparse.Namespace) -> int:
     for option, file in (('--plot', options.plot), ('--draw', options.draw)):
         if file is not None and file.suffix not in FORMATS:
             raise UserError(f'{option} is {file}; give a file that ends in {", ".join(FORMATS)}')
+    files = {'--write': options.write, '--plot': options.plot, '--draw': options.draw}
+    for option, file in files.items():
+        if file is not None and file.exists() and not options.force:
+            raise UserError(f'{option} {file} exists; choose another name or give --force')
     if not 0.0 < options.bandwidth < 1e6:
         raise UserError(f'--bandwidth is {options.bandwidth:g} Hz; it must be above 0')
     description, damping = options.description, options.damping or 'improved'

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.logs.archive import ATTACHMENT
+from waferbot_twin.output_folder import note_file
 from waferbot_twin.recording.reader import read_recording
 
 FORMATS = ('.png', '.svg', '.pdf')
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', type=Path, metavar='FILE', help='picture to write (default: DIR/plot.png)'
     )
+    parser.add_argument('--force', action='store_true', help='replace the picture of --out')
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -31,6 +33,8 @@ def execute(options: argparse.Namespace) -> int:
     out = options.out or folder / 'plot.png'
     if out.suffix not in FORMATS:
         raise UserError(f'--out is {out}; give a file that ends in {", ".join(FORMATS)}')
+    if out.exists() and not options.force:
+        raise UserError(f'--out {out} exists already; choose another file or give --force')
     if ATTACHMENT in recording.attachments:
         from waferbot_twin.logs.load import load_log
         from waferbot_twin.logs.picture import plot_log
@@ -40,5 +44,6 @@ def execute(options: argparse.Namespace) -> int:
         from waferbot_twin.plot import plot_recording
 
         plot_recording(recording, out)
+    note_file(out)
     print(out)
     return 0

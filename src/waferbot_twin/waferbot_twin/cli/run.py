@@ -22,6 +22,7 @@ from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
+from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.plan import Outcome, Plan, make_plan
 
 ENGINES = ('ros', 'composed', 'inprocess')
@@ -41,9 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', type=Path, metavar='DIR', help='record to this new folder')
     parser.add_argument('--force', action='store_true', help='replace the recording at --out')
     parser.add_argument('--duration', type=float, metavar='S', help="default: the experiment's")
-    parser.add_argument(
-        '--seed', type=int, default=0, help='seed of whatever is random (default 0)'
-    )
+    add_seed(parser, 'seed of whatever is random')
     parser.add_argument(
         '--copley-per-axis', action='store_true', help='three Copley nodes, one for each axis'
     )

@@ -17,7 +17,10 @@ import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.cli.seeds import add_seed
+from waferbot_twin.output_folder import OutputFolder
 
 SHOWN = 12
 """Experiments that are printed; all are in the report."""
@@ -37,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--model', metavar='NAME|FILE', help='default: that of the report, else rigid'
     )
     parser.add_argument('--noise', type=float, default=1.0, help='level of the noise (default 1)')
-    parser.add_argument('--seed', type=int, default=0, help='of the noise')
+    add_seed(parser, 'of the noise')
     parser.add_argument(
         '--without', action='append', default=[],
         choices=('commanded', 'currents', 'command', 'voltages'),
@@ -55,7 +58,6 @@ def execute(options: argparse.Namespace) -> int:
     """Rate the experiments, print the table, write the best."""
     from waferbot_lockstep.timing import Timing
     from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.html_page import prepare_folder
     from waferbot_twin.models import load_model
     from waferbot_twin.residuals.problem import apply_all
     from waferbot_twin.suggestion.report import as_dict, remainder, sentence, table_rows, write
@@ -76,8 +78,7 @@ def execute(options: argparse.Namespace) -> int:
         if options.report is not None
         else named(options.rivals, variant)
     )
-    if options.out is not None:
-        prepare_folder(options.out, options.force)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
     machine = Machine(
         apply_all(variant, group.others),
         options.noise,
@@ -87,11 +88,11 @@ def execute(options: argparse.Namespace) -> int:
     )
     with progress_bar('simulating experiments') as progress:
         found = suggest(machine, group.rivals, progress, options.workers)
-    if options.out is not None:
-        write(found, options.out)
+    kept = keep(output, lambda folder: write(found, folder))
+    what = 'report: {}/report.json' if found.best is None else 'experiment: {}/experiment.yaml'
     if options.json:
         print_json(as_dict(found))
-        return 0
+        return kept.tell(what)
     table = new_table(
         'experiment', '2 ln L', 'x detectable', 'length [s]', 'speed [%]', 'current [%]'
     )
@@ -100,6 +101,4 @@ def execute(options: argparse.Namespace) -> int:
     result_console.print(table)
     print(remainder(found, SHOWN))
     print(sentence(found))
-    if options.out is not None and found.best is not None:
-        say(f'experiment: {options.out / "experiment.yaml"}')
-    return 0
+    return kept.tell(what)

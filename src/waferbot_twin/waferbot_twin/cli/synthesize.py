@@ -14,8 +14,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.recording.writer import as_json
 
 
@@ -28,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--experiment', default='wafer_exchange', metavar='NAME|FILE')
     parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
     parser.add_argument('--noise', type=float, default=1.0, help='level, 0 for none (default 1)')
-    parser.add_argument('--seed', type=int, default=0, help='of noise and of what is drawn')
+    add_seed(parser, 'of noise and of what is drawn')
     parser.add_argument(
         '--without', action='append', default=[],
         choices=('commanded', 'currents', 'command', 'voltages', 'amplifier'),
@@ -65,7 +67,7 @@ def execute(options: argparse.Namespace) -> int:
         )
     if options.truth is not None:
         try:
-            options.truth.write_text(as_json(truth) + '\n', 'utf-8')
+            write_text(options.truth, as_json(truth) + '\n')
         except OSError as error:
             raise UserError(f'--truth {options.truth}: {error.strerror}') from error
     if options.json:

@@ -16,14 +16,16 @@ from waferbot_twin.cli.console import (
     print_json,
     progress_bar,
     result_console,
-    say,
     significant,
 )
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot tables`."""
     parser.add_argument('--html', type=Path, metavar='DIR', help='write a report to this folder')
+    parser.add_argument('--force', action='store_true', help='replace what is at --html')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -32,15 +34,15 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.report import write_report
     from waferbot_twin.tables import Runs, Table, all_tables
 
+    output = OutputFolder(options.html, options.force, option='--html') if options.html else None
     with progress_bar('steps of every model and axis') as progress:
         runs = Runs(progress)
     tables = all_tables(runs)
-    if options.html:
-        page = write_report(options.html, tables, runs, f'waferbot tables --html {options.html}')
-        say(f'report: {page}')
+    command = f'waferbot tables --html {options.html}'
+    kept = keep(output, lambda folder: write_report(folder, tables, runs, command))
     if options.json:
         print_json([table.as_dict() for table in tables])
-        return 0
+        return kept.tell('report: {}/index.html')
 
     def show(table: Table) -> None:
         columns = list(dict.fromkeys(key for row in table.rows for key in row.cells))
@@ -61,4 +63,4 @@ def execute(options: argparse.Namespace) -> int:
     missed = sum(row.met is False for table in tables for row in table.rows)
     demanded = sum(row.met is not None for table in tables for row in table.rows)
     print(f'{demanded - missed} of {demanded} rows met')
-    return 0
+    return kept.tell('report: {}/index.html')

@@ -17,6 +17,7 @@ from dataclasses import asdict, dataclass
 
 from waferbot_lockstep.compiled import compiled_before
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.cli.seeds import add_seed
 
 MODELS = ('rigid', 'simplified', 'flexible')
 LARGEST_DIFFERENCE = 1e-9
@@ -43,9 +44,7 @@ class Check:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot verify`."""
-    parser.add_argument(
-        '--seed', type=int, default=SEED, help=f'seed of the random draws (default {SEED})'
-    )
+    add_seed(parser, 'seed of the random draws', SEED)
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 

@@ -256,7 +256,7 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
             pass
         loop_s = time.perf_counter() - begun_s
         return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
-    with RecordingWriter(out, plan.attachments('inprocess'), force) as writer:
+    with RecordingWriter(out, plan.attachments('inprocess'), force, live=True) as writer:
         recorder = SignalRecorder(writer, plan.timing)
         try:
             for signals in _chunks(twin, plan.ticks, progress):

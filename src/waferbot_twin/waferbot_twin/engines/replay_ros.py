@@ -21,6 +21,7 @@ from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import LockstepNode, make_executor
+from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.engines.ros import (
@@ -126,6 +127,7 @@ def replay_over_ros(
         stack.callback(domain.release)
         stack.enter_context(ros_environment(domain.number, any_host=False))
         interrupt = stack.enter_context(Interrupt())
+        ensure_log_folder()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         player = Player(recording, node, ticks)

@@ -43,6 +43,7 @@ from waferbot_lockstep.node import (
     LockstepNode,
     make_executor,
 )
+from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Outcome, Plan
@@ -101,12 +102,15 @@ def run(
         if options.on_domain:
             options.on_domain(domain.number)
         interrupt = stack.enter_context(Interrupt())
+        ensure_log_folder()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         engine = 'composed' if options.composed else 'ros'
         writer = None
         if out is not None:
-            writer = stack.enter_context(RecordingWriter(out, plan.attachments(engine), force))
+            writer = stack.enter_context(
+                RecordingWriter(out, plan.attachments(engine), force, live=True)
+            )
         recorder = Recorder(
             writer,
             plan.timing,

@@ -10,7 +10,6 @@ value are in the messages as floating point; the stamps (whole nanoseconds) are 
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,9 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_lockstep.wire import LITTLE_ENDIAN
+from waferbot_twin.checked_json import NUMBER, TEXT, WHOLE, checked_json
 from waferbot_twin.logs.findings import Finding
+from waferbot_twin.logs.kinds import KINDS
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.recording.reader import Content
 from waferbot_twin.recording.writer import RecordingWriter, as_json
@@ -27,6 +28,40 @@ from waferbot_twin.recording.writer import RecordingWriter, as_json
 TYPE = 'waferbot_msgs/msg/MeasuredSample'
 ATTACHMENT = 'measured.json'
 SCHEMA = 1
+
+_SCHEMA_GIVEN = {'type': 'object', 'required': ['schema']}
+_ABOUT = {
+    'type': 'object',
+    'required': ['name', 'source', 'digest', 'origin_ns', 'signals', 'findings'],
+    'properties': {
+        **dict.fromkeys(('name', 'source', 'digest'), TEXT),
+        'origin_ns': WHOLE,
+        'signals': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': ['kind', 'axis', 'unit', 'resolution', 'samples'],
+                'properties': {
+                    'kind': {'enum': list(KINDS)},
+                    'axis': TEXT,
+                    'unit': TEXT,
+                    'resolution': NUMBER,
+                    'samples': WHOLE,
+                },
+            },
+        },
+        'findings': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': ['place', 'reason'],
+                'properties': dict.fromkeys(('place', 'reason', 'action'), TEXT),
+                'additionalProperties': False,
+            },
+        },
+    },
+}
+"""What `measured.json` has to say, as a JSON schema."""
 
 # CDR of MeasuredSample: header with an empty frame_id, padded to 8 bytes, then two float64.
 _SAMPLE = np.dtype(
@@ -102,6 +137,8 @@ def read_archive(path: Path, content: Content) -> MeasuredLog:
                 entry.get('half_step', 0.0),
             )
         )
+    if not signals:
+        raise UserError(f'{path}: no sample of the log is left in it; import it again')
     return MeasuredLog(
         about['name'],
         tuple(signals),
@@ -123,15 +160,13 @@ def _about(log: MeasuredLog, shift_ns: int) -> dict[str, Any]:
 
 
 def _parsed(path: Path, text: str) -> dict[str, Any]:
-    try:
-        about = json.loads(text)
-        if about['schema'] != SCHEMA:
-            raise UserError(
-                f'{path}: {ATTACHMENT} has schema {about["schema"]}, this waferbot reads {SCHEMA}; '
-                'import the log again'
-            )
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f'{path}: {ATTACHMENT} is damaged ({error!r})') from None
+    where = f'{path}: {ATTACHMENT}'
+    schema = checked_json(text, _SCHEMA_GIVEN, where)['schema']
+    if schema != SCHEMA:
+        raise UserError(
+            f'{where} has schema {schema}, this waferbot reads {SCHEMA}; import the log again'
+        )
+    about: dict[str, Any] = checked_json(text, _ABOUT, where)
     return about
 
 

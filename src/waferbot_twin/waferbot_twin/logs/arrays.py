@@ -9,10 +9,12 @@ Columns of a plain `.npy` are numbered from 1, those of a structured one have na
 
 from __future__ import annotations
 
+import math
+import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import scipy.io
@@ -21,6 +23,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.logs.columns import Column, Table
 from waferbot_twin.logs.findings import Finding
+from waferbot_twin.logs.isolated import isolated
 
 _STEP = re.compile(r'\.(\w+)|\{(\d+(?:,\d+)*)\}|\(([\d:]+(?:,[\d:]+)*)\)')
 
@@ -28,8 +31,11 @@ _STEP = re.compile(r'\.(\w+)|\{(\d+(?:,\d+)*)\}|\(([\d:]+(?:,[\d:]+)*)\)')
 def read_npy(path: Path, samples_along: str | None) -> Table:
     """Read a `.npy`; samples run along its longer side if `samples_along` does not say."""
     try:
-        array = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        with path.open('rb') as file:
+            _check_size(file)
+            array = np.lib.format.read_array(file, allow_pickle=False)
+    # The header is a Python literal: NumPy passes on whatever its parser says of a broken one.
+    except Exception as error:
         raise UserError(f'{path}: is no readable .npy file ({error})') from None
     names = list(array.dtype.names or ())
     if names:
@@ -45,6 +51,27 @@ def read_npy(path: Path, samples_along: str | None) -> Table:
             values = values.T
     number = np.arange(1, len(values) + 1)
     return Table(str(path), names or [''] * values.shape[1], values, 'sample', number, number - 1)
+
+
+def _check_size(file: BinaryIO) -> None:
+    """
+    Hold the size that the header of a `.npy` tells against that of the file, and rewind.
+
+    Otherwise NumPy reserves memory for what the header says before it finds that it lies. Raises
+    `ValueError`.
+    """
+    version = np.lib.format.read_magic(file)
+    read = (
+        np.lib.format.read_array_header_1_0
+        if version == (1, 0)
+        else np.lib.format.read_array_header_2_0
+    )
+    shape, _, kind = read(file)
+    told = kind.itemsize * math.prod(shape)
+    there = os.fstat(file.fileno()).st_size - file.tell()
+    if min(shape, default=0) < 0 or told > there:
+        raise ValueError(f'its header tells of {told} bytes, but {there} are there')
+    file.seek(0)
 
 
 @dataclass
@@ -114,7 +141,7 @@ def read_variables(path: Path) -> Variables:
         if path.suffix == '.npz':
             with np.load(path, allow_pickle=False) as archive:
                 return Variables(str(path), {name: archive[name] for name in archive.files})
-        content = scipy.io.loadmat(path)
+        content = isolated(lambda: scipy.io.loadmat(path))
     except NotImplementedError:
         raise UserError(
             f'{path}: is a MATLAB 7.3 file (HDF5); save it in MATLAB with save(..., "-v7")'

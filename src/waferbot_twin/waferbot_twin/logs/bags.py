@@ -64,6 +64,8 @@ def read_bag(path: Path) -> Content:
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
             for connection in reader.connections:
+                if not isinstance(connection.topic, str):
+                    raise AnyReaderError(f'the name of a topic is {connection.topic!r}')
                 content.types[connection.topic] = connection.msgtype
                 encoding = {
                     MessageDefinitionFormat.MSG: 'ros2msg',
@@ -76,7 +78,8 @@ def read_bag(path: Path) -> Content:
             for connection, time_ns, data in reader.messages():
                 content.messages[connection.topic].append(bytes(data))
                 content.log_times_ns[connection.topic].append(time_ns)
-    except (AnyReaderError, OSError) as error:
+    # rosbags, SQLite and the decompressors raise many kinds of errors on a broken file.
+    except Exception as error:
         raise UserError(f'{path}: cannot be read as a rosbag2 recording ({error})') from None
     return content
 

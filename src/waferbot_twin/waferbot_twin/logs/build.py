@@ -28,6 +28,12 @@ LATE_S = 1e6
 """Times later than this are those of a calendar clock; time zero is moved to the first sample."""
 
 
+LATEST_S = 2.0**31 - 1.0
+"""The last second of a ROS stamp, in January 2038."""
+
+YEAR_S = 365.25 * 86400.0
+
+
 @dataclass
 class Collected:
     """Signals and findings of one log, as they come in."""
@@ -61,6 +67,7 @@ def build(mapping: LogMapping, log: Columns, companion: Columns | None) -> Colle
     for table in (log, companion):
         if table is not None:
             collected.findings[:0] = table.findings
+    _check_times(mapping, [signal for _, signal in made])
     shift_s = float(np.floor(min(origins))) if origins and abs(min(origins)) > LATE_S else 0.0
     collected.origin_ns = int(shift_s) * 1_000_000_000
     for _, signal in made:
@@ -77,6 +84,16 @@ def build(mapping: LogMapping, log: Columns, companion: Columns | None) -> Colle
         reason = f'{max(outside.values())} samples are outside start_s and end_s, as wished'
         collected.findings.append(Finding(', '.join(outside), reason, 'note'))
     return collected
+
+
+def _check_times(mapping: LogMapping, signals: list[Signal]) -> None:
+    """Refuse times that no calendar clock shows; the unit of the time column is wrong then."""
+    furthest_s = max((float(np.abs(signal.time_s).max()) for signal in signals), default=0.0)
+    if furthest_s > LATEST_S:
+        raise UserError(
+            f'{mapping.source}: with this unit of time the log goes to {furthest_s:.4g} s, which is '
+            f'{furthest_s / YEAR_S:.3g} years; is time.unit right?'
+        )
 
 
 def finish(

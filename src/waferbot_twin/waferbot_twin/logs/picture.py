@@ -12,6 +12,7 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 
+from waferbot_twin.html_page import save_drawing
 from waferbot_twin.logs.kinds import KINDS
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 
@@ -60,10 +61,7 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
         panels[-1][column].set_xlabel('time [s]')
     figure.suptitle(log.name, fontsize=11)
     figure.tight_layout()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    metadata = {'Software': 'waferbot'} if file.suffix == '.png' else None
-    figure.savefig(file, dpi=110, metadata=metadata)
-    plt.close(figure)
+    save_drawing(figure, file)
 
 
 def _broken_at_gaps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:

@@ -116,7 +116,10 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _unquoted(line: str, delimiter: str) -> list[str]:
     import csv
 
-    return next(csv.reader([line], delimiter=delimiter))
+    try:
+        return next(csv.reader([line], delimiter=delimiter))
+    except csv.Error:  # a cell of more than 128 kB: a quote that was never closed
+        return line.split(delimiter)
 
 
 def _number(cell: str, decimal: str) -> float | None:

@@ -4,8 +4,8 @@ What a wrong model leaves over goes with the motion; noise does not.
 
 So the noise of a motion residual is what is left of it without its projection on the motion: on the
 columns q of position p, speed v, acceleration, jerk, direction s = tanh(v / v_0), v |v|, |v|, s p,
-the change of s, s exp(-|v| / v_1), and a constant. With v_0 and v_1 2 % and 10 % of the largest speed these
-hold nearly all that inertias, frictions (also rising or falling from rest, by direction or
+the change of s, s exp(-|v| / v_1), and a constant. With v_0 and v_1 2 % and 10 % of the largest
+speed these hold nearly all that inertias, frictions (also rising or falling from rest, by direction or
 position), gravity, delays and scales change. The spectrum of the rest is that of sensors and
 disturbances, and no misfit: on the EMPS axis the Coulomb friction then is 19.9 N, with the
 spectrum of all that is left over 14.2 N, by least squares 20.4 N.

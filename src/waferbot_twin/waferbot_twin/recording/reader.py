@@ -9,7 +9,6 @@ tells which places were given at that tick.
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -28,7 +27,31 @@ from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
+from waferbot_twin.checked_json import TEXT, WHOLE, checked_json
 from waferbot_twin.recording.definitions import type_hash
+
+_LATEST_NS = 2**63 - 1
+
+_RATE = {**WHOLE, 'minimum': 1, 'maximum': 10**9}
+_RUN = {
+    'type': 'object',
+    'properties': {
+        'engine': TEXT,
+        'model': TEXT,
+        'experiment': TEXT,
+        'ticks': WHOLE,
+        'seed': WHOLE,
+        'timing': {
+            'type': 'object',
+            'properties': dict.fromkeys(
+                ('current_loop_hz', 'encoder_divider', 'servo_divider'), _RATE
+            ),
+            'additionalProperties': False,
+        },
+        'versions': {'type': 'object'},
+    },
+}
+"""What `run.json` may say, as a JSON schema."""
 
 
 @dataclass
@@ -59,8 +82,14 @@ class Recording:
 
     @property
     def run(self) -> dict[str, Any]:
-        """What `run.json` says of how the recording was made; empty if it has none."""
-        return json.loads(self.attachments.get('run.json', '{}'))
+        """
+        What `run.json` says of how the recording was made; empty if it has none.
+
+        Raises `UserError` if it is damaged.
+        """
+        text = self.attachments.get('run.json', '{}')
+        run: dict[str, Any] = checked_json(text, _RUN, f'{self.path}: run.json')
+        return run
 
     @property
     def timing(self) -> Timing:
@@ -95,11 +124,7 @@ def recording_files(path: Path) -> list[Path]:
     metadata = path / 'metadata.yaml'
     names: list[str] = []
     if metadata.exists():
-        try:
-            content = yaml.safe_load(metadata.read_text('utf-8'))
-            names = content['rosbag2_bagfile_information']['relative_file_paths']
-        except (yaml.YAMLError, KeyError, TypeError) as error:
-            raise UserError(f'{metadata}: not a rosbag2 metadata file ({error!r})') from error
+        names = _named_files(metadata)
     files = [path / name for name in names] or sorted(path.glob('*.mcap'))
     if not files:
         raise UserError(f'{path} holds no recording (no metadata.yaml, no .mcap file)')
@@ -107,6 +132,21 @@ def recording_files(path: Path) -> list[Path]:
         if not file.exists():
             raise UserError(f'{file} is named in {metadata} but does not exist')
     return files
+
+
+def _named_files(metadata: Path) -> list[str]:
+    """Return the names of a recording's files that are in its metadata; raises `UserError`."""
+    try:
+        content = yaml.safe_load(metadata.read_text('utf-8'))
+        names = content['rosbag2_bagfile_information']['relative_file_paths']
+    # ValueError: no UTF-8, or a date such as 2000-99-99
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
+        raise UserError(f'{metadata}: not a rosbag2 metadata file ({error!r})') from None
+    if not isinstance(names, list) or not all(
+        isinstance(name, str) and name and '\0' not in name for name in names
+    ):
+        raise UserError(f'{metadata}: relative_file_paths is no list of file names')
+    return names
 
 
 def read_recording(path: Path | str) -> Recording:
@@ -228,6 +268,10 @@ def _read_file(file: Path, content: Content) -> bool:
         try:
             for record in StreamReader(stream, validate_crcs=True).records:
                 if isinstance(record, Message):
+                    if record.channel_id not in channels:
+                        raise McapError(f'a message of channel {record.channel_id}, which is none')
+                    if record.log_time > _LATEST_NS:
+                        raise McapError(f'a message of the time {record.log_time} ns')
                     data, times = channels[record.channel_id]
                     data.append(record.data)
                     times.append(record.log_time)

@@ -9,9 +9,10 @@ parameters, seed, versions) is attached at the beginning, before the first messa
 
 from __future__ import annotations
 
+import contextlib
 import json
-import shutil
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -19,8 +20,10 @@ from typing import Any
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.recording.definitions import full_text, type_hash
 
 CHUNK_BYTES = 1 << 18
@@ -28,46 +31,49 @@ FLUSH_MESSAGES = 1000
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
-def prepare_folder(path: Path, force: bool) -> None:
-    """Make room for a recording at `path`; refuse to overwrite anything unless `force`."""
-    if path.exists():
-        if not force:
-            raise UserError(f'{path} exists already; choose another --out, or say --force')
-        if not (path / 'metadata.yaml').exists() and any(path.iterdir() if path.is_dir() else [1]):
-            raise UserError(f'{path} is no recording; --force only replaces recordings')
-        shutil.rmtree(path)
-    try:
-        path.mkdir(parents=True)
-    except OSError as error:
-        raise UserError(f'--out {path} cannot be made: {error.strerror}') from error
-
-
 class RecordingWriter:
     """
     An open recording; use it in a `with` statement.
 
     On an ordinary end the file gets its index and the folder its final `metadata.yaml`. After an
-    exception the file is closed all the same, so what was recorded up to there can be read.
+    exception a recording of a run (`live`) is closed all the same, so what was recorded up to there can
+    be read; any other is removed. What it was to replace is replaced on an ordinary end only.
     """
 
-    def __init__(self, path: Path, attachments: Mapping[str, str], force: bool = False) -> None:
-        """Create the folder and the file; raises `UserError` if the folder exists."""
-        prepare_folder(path, force)
+    def __init__(
+        self, path: Path, attachments: Mapping[str, str], force: bool = False, live: bool = False
+    ) -> None:
+        """Create the folder and the file; raises `UserError` as `OutputFolder` does."""
         self.path = path
+        self._file_name = f'{path.name}_0.mcap'
+        self._output = OutputFolder(path, force, live, (self._file_name, 'metadata.yaml'))
+        self._output.__enter__()
+        try:
+            self._begin(attachments)
+        except BaseException as error:
+            self._output.__exit__(type(error), error, None)
+            raise
+
+    def _begin(self, attachments: Mapping[str, str]) -> None:
+        """Open the file and write all that comes before the first message."""
         self.message_count = 0
         self._first_ns = 2**63 - 1
         self._last_ns = 0
         self._topics: dict[str, dict[str, Any]] = {}
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
-        self._file_name = f'{path.name}_0.mcap'
-        self._file = (path / self._file_name).open('xb')
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._writer.start('ros2', 'waferbot')
-        for name, text in attachments.items():
-            media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
-            self._writer.add_attachment(0, 0, name, media_type, text.encode())
-        self._write_metadata()
+        with self._told():
+            self._file = (self._output.folder / self._file_name).open('xb')
+            self._writer = Writer(
+                self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
+            )
+            self._writer.start('ros2', 'waferbot')
+            for name, text in attachments.items():
+                media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
+                self._writer.add_attachment(0, 0, name, media_type, text.encode())
+            self._file.flush()
+            self._begun_bytes = self._whole_bytes = self._file.tell()
+            self._write_metadata()
 
     def add_topic(self, name: str, type_name: str) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
@@ -96,11 +102,15 @@ class RecordingWriter:
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append one message, in CDR, at a sim time; messages of one topic come in order."""
         count = self._counts[topic]
-        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
-        self._counts[topic] = count + 1
-        self.message_count += 1
-        if self.message_count % FLUSH_MESSAGES == 0:
-            self._file.flush()
+        try:
+            self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
+            self._counts[topic] = count + 1
+            self.message_count += 1
+            if self.message_count % FLUSH_MESSAGES == 0:
+                self._file.flush()
+                self._whole_bytes = self._file.tell()
+        except OSError as error:
+            raise self._trouble(error) from error
         self._first_ns = min(self._first_ns, stamp_ns)
         self._last_ns = max(self._last_ns, stamp_ns)
 
@@ -108,14 +118,17 @@ class RecordingWriter:
         """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
         if self._file.closed:
             return
-        self._writer.add_metadata('waferbot', dict(summary))
-        self._writer.add_metadata(
-            'rosbag2',
-            {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
-        )
-        self._writer.finish()
-        self._file.close()
-        self._write_metadata()
+        with self._told():
+            self._writer.add_metadata('waferbot', dict(summary))
+            self._writer.add_metadata(
+                'rosbag2',
+                {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
+            )
+            self._writer.finish()
+            atomic_files.flush_to_disk(self._file)
+            self._whole_bytes = self._file.tell()
+            self._file.close()
+            self._write_metadata()
 
     def __enter__(self) -> RecordingWriter:
         """Return the open recording."""
@@ -127,8 +140,38 @@ class RecordingWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Close the file, whatever happened."""
-        self.close({'complete': 'false', 'reason': _reason(error)})
+        """Close the file, whatever happened; keep what the disk had room for."""
+        try:
+            self.close({'complete': 'false', 'reason': _reason(error)})
+        except UserError as trouble:
+            self._cut_off()
+            kind, error, mine = type(trouble), error or trouble, error is None
+        else:
+            mine = False
+        self._output.worth_keeping = (
+            self.message_count > 0 and self._whole_bytes > self._begun_bytes
+        )
+        self._output.__exit__(kind, error, traceback)
+        if mine and error is not None:
+            raise error
+
+    def _cut_off(self) -> None:
+        """Cut the file behind the last whole record that is in it, as the disk is full."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        with contextlib.suppress(OSError):
+            os.truncate(self._output.folder / self._file_name, self._whole_bytes)
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        """Turn what the system says of the disk into the one line for the user."""
+        try:
+            yield
+        except OSError as error:
+            raise self._trouble(error) from error
+
+    def _trouble(self, error: OSError) -> UserError:
+        return UserError(f'{self.path} cannot be written: {error.strerror or error}')
 
     def _information(self) -> dict[str, Any]:
         start = self._first_ns if self.message_count else 0
@@ -158,9 +201,7 @@ class RecordingWriter:
         text = yaml.safe_dump(
             {'rosbag2_bagfile_information': self._information()}, sort_keys=False
         )
-        temporary = self.path / 'metadata.yaml.new'
-        temporary.write_text(text, 'utf-8')
-        temporary.replace(self.path / 'metadata.yaml')
+        atomic_files.write_text(self._output.folder / 'metadata.yaml', text)
 
 
 def _reason(error: BaseException | None) -> str:

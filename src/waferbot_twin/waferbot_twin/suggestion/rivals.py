@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +12,51 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_twin.checked_json import NUMBER, TEXT, checked_json
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.synthesis import parse_effect
+
+_NAMED = {'effect': TEXT, 'axis': TEXT}
+_REPORT = {
+    'type': 'object',
+    'required': ['schema', 'causes'],
+    'properties': {
+        'schema': {'const': 2},
+        'model': TEXT,
+        'causes': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': ['effect', 'axis', 'parameters', 'credible_set'],
+                'properties': {
+                    **_NAMED,
+                    'parameters': {
+                        'type': 'object',
+                        'additionalProperties': {
+                            'type': 'object',
+                            'required': ['value'],
+                            'properties': {'value': NUMBER},
+                        },
+                    },
+                    'credible_set': {
+                        'type': 'array',
+                        'items': {
+                            'type': 'object',
+                            'required': ['effect', 'axis', 'values'],
+                            'properties': {
+                                **_NAMED,
+                                'values': {'type': 'object', 'additionalProperties': NUMBER},
+                            },
+                        },
+                    },
+                },
+            },
+        },
+    },
+}
+"""What is read of the report of a diagnosis, as a JSON schema."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +82,14 @@ def read_report(path: Path) -> Mapping[str, Any]:
     """Return the report of a diagnosis: the file, or the folder it is in; raises `UserError`."""
     file = path / 'report.json' if path.is_dir() else path
     try:
-        report = json.loads(file.read_text('utf-8'))
+        text = file.read_text('utf-8')
     except OSError as error:
         raise UserError(
             f'{file} cannot be read ({error.strerror}); give the folder of a diagnosis'
         ) from None
-    except ValueError as error:
+    except UnicodeDecodeError as error:
         raise UserError(f'{file} is no report of a diagnosis ({error})') from None
-    if not isinstance(report, dict) or report.get('schema') != 2:
-        raise UserError(f'{file} is no report of a diagnosis, or one of another version')
+    report: dict[str, Any] = checked_json(text, _REPORT, f'{file}, report of a diagnosis,')
     return report
 
 

@@ -44,9 +44,10 @@ from waferbot_twin.diagnosis.proposals.screening import Screened
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
-from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.record import Array
 
 PASSES = 3
 """How often at most every effect is asked for anew."""
@@ -313,7 +314,9 @@ def instrumented_gain(
             return None
         with_it, without = (apply_all(problem.nominal, item.causes) for item in (more, base))
         signals = estimated = 0.0
-        left, along, colours = [], [], []
+        left: list[Array] = []
+        along: list[Array] = []
+        colours: list[Colour] = []
         for block, fit in more.fits.items():
             if not any(colour.error.order for colour in fit.colours):
                 continue

@@ -39,7 +39,7 @@ from waferbot_twin.estimation.hypothesis import (
     whole_change,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
-from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import Power, power_along
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -261,7 +261,9 @@ class _Linear:
     @classmethod
     def of(cls, base: Hypothesis, own: _White, there: _White, beside: _White) -> _Linear:
         """Fit `own`, of which `there` is there already, beside others."""
-        before, rows, colours = [], [], []
+        before: list[Array] = []
+        rows: list[Array] = []
+        colours: list[Colour] = []
         for block, parts in own.items():
             fit = base.fits[block]
             others = beside.get(block)
