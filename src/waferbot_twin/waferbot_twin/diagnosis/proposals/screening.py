@@ -281,10 +281,10 @@ class _Linear:
             (system / scale).T @ (system / scale), rcond=1e-10, hermitian=True
         )
         solution = inverse @ ((system / scale).T @ right) / scale
-        left = [one + part @ solution for one, part in zip(before, rows, strict=True)]
-        change = [one - two for one, two in zip(before, left, strict=True)]
-        power = power_along(left, change, colours)
-        squares = sum(float(one @ one) for one in before) - sum(float(one @ one) for one in left)
+        after = [one + part @ solution for one, part in zip(before, rows, strict=True)]
+        change = [one - two for one, two in zip(before, after, strict=True)]
+        power = power_along(after, change, colours)
+        squares = sum(float(one @ one) for one in before) - sum(float(one @ one) for one in after)
         began = sum(float(one @ one) for block in own for one in base.fits[block].whitened)
         squares += began - sum(float(one @ one) for one in before)
         first = [part[:, 0] for part in rows]
