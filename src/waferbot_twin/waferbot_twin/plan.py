@@ -7,6 +7,7 @@ import dataclasses
 import platform
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -32,8 +33,12 @@ class Plan:
     timing: Timing
     seed: int = 0
 
-    def attachments(self, engine: str) -> dict[str, str]:
-        """Return the texts that go into the recording: everything that the run was made from."""
+    def attachments(self, engine: str, without: Sequence[str] = ()) -> dict[str, str]:
+        """
+        Return the texts that go into the recording: everything that the run was made from.
+
+        `without` names the nodes that somebody else provided.
+        """
         run = {
             'engine': engine,
             'model': self.model.name,
@@ -41,6 +46,7 @@ class Plan:
             'ticks': self.ticks,
             'seed': self.seed,
             'timing': dataclasses.asdict(self.timing),
+            'without': list(without),
             'versions': versions(),
         }
         return {

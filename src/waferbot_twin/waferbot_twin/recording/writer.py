@@ -69,9 +69,9 @@ class RecordingWriter:
             self._writer.add_attachment(0, 0, name, media_type, text.encode())
         self._write_metadata()
 
-    def add_topic(self, name: str, type_name: str) -> None:
+    def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
-        qos = [_qos_profile(HISTORY_DEPTH)]
+        qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
         definition = full_text(type_name)
         digest = type_hash(type_name)
         schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
@@ -175,13 +175,13 @@ def as_json(value: Any) -> str:
     return json.dumps(value, indent=2, sort_keys=True) + '\n'
 
 
-def _qos_profile(depth: int) -> dict[str, Any]:
+def _qos_profile(depth: int, durability: str = 'volatile') -> dict[str, Any]:
     """Return the contract's quality of service in rosbag2's form: reliable, volatile, keep last."""
     return {
         'history': 'keep_last',
         'depth': depth,
         'reliability': 'reliable',
-        'durability': 'volatile',
+        'durability': durability,
         'deadline': dict(_FOREVER),
         'lifespan': dict(_FOREVER),
         'liveliness': 'automatic',
