@@ -94,6 +94,7 @@ def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path
     assert re.search(
         rf'waferbot: error: .*{peer} is gone: topic {topic}.* tick \d+ never came', program.output
     ), program.output
+    assert f'{victim} was killed by signal 9' in program.output
     recording = check_readable(out)
     assert recording.closed
     assert recording.summary['complete'] == 'false'
@@ -475,6 +476,13 @@ def test_a_parameter_that_a_node_does_not_have_is_an_error(start, domain, node, 
     assert 'Traceback' not in program.output
     name = given.split(':')[0]
     assert f"{node} has no parameter '{name}'; did you mean '{meant}" in program.output
+
+
+def test_a_run_that_waits_in_vain_says_for_whom():
+    result = waferbot('run', '--without', 'pmac', '--startup-timeout', '8', '--duration', '0.1')
+    assert result.returncode == 1
+    assert re.search(r'pmac .*current_command: .*did not appear within 8 s|did not start within 8 s: '
+                     r'pmac has not published current_command', result.stderr)  # fmt: skip
 
 
 def test_a_run_without_a_peer_gives_up_with_its_name(start, domain):

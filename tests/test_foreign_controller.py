@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import ast
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import Program, domain_of
+from harness import Program, domain_of, output_of
 
 from waferbot_twin.recording.reader import read_recording
 
@@ -71,6 +72,17 @@ def test_foreign_position_controller_steps_one_axis_and_holds_the_others(start, 
     assert abs(last[:, 1]).max() < 200
     assert abs(last[:, 2]).max() < 200
     assert 'servo_state' not in recording.topics or len(recording['servo_state']) == 0
+    check_commands(recording.path)
+
+
+def check_commands(path):
+    """What our PMAC would have reported lacks; the commands say so, and show the rest."""
+    told = json.loads(output_of('info', path, '--json'))
+    assert told['missing'] == 0
+    figures = json.loads(output_of('metrics', path, '--json'))['y_linear']
+    assert figures['peak_following_error'] is None
+    assert figures['peak_current'] > 1.0
+    assert Path(output_of('plot', path).strip()).exists()
 
 
 @pytest.mark.slow

@@ -137,9 +137,10 @@ def test_channel_offers_the_contract_quality_of_service(recording):
     with recording_file(recording.path).open('rb') as stream:
         for channel in make_reader(stream).get_summary().channels.values():
             (qos,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
+            latched = channel.topic == '/robot_description'
             assert (qos['reliability'], qos['durability'], qos['history']) == (
                 'reliable',
-                'volatile',
+                'transient_local' if latched else 'volatile',
                 'keep_last',
             )
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 import yaml
 from harness import run_engine, waferbot
 
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.reader import read_recording
-from waferbot_twin.replay import replay_in_process
+from waferbot_twin.replay import OUTPUTS, replay_in_process
 
 NODES = ('plant', 'pmac', 'copley')
 CHANGES = {
@@ -74,10 +75,20 @@ def test_the_changed_block_is_found_over_ros(tmp_path):
         'replay', str(tmp_path / 'short'), '--node', 'pmac', '--engine', 'ros', '--json',
         '--model', str(changed_model(tmp_path, 'pmac')),
     )  # fmt: skip
-    assert result.returncode == 0, result.stderr
+    assert result.returncode == 1, result.stderr
     told = json.loads(result.stdout)
     assert told['identical'] is False
     assert {d['place'] for d in told['differences'] if d['first_tick'] is not None} == {'x_rotate'}
+
+
+@pytest.mark.parametrize('node', NODES)
+def test_a_lost_answer_shifts_nothing(recorded, node):
+    """What the node itself once said is only compared: a message of it that was lost is not."""
+    recording = read_recording(recorded('inprocess').path)
+    for topic in OUTPUTS[node]:
+        recording.topics[topic.name] = np.delete(recording.topics[topic.name], [7, 500])
+    differences = replay_in_process(recording, load_model('rigid'), node)
+    assert [difference.first_tick for difference in differences] == [None] * len(differences)
 
 
 def test_a_recording_with_a_hole_is_refused(recorded, tmp_path):

@@ -10,14 +10,17 @@ the latched faults, `~/safe_torque_off` takes the gate drive away and gives it b
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.parameter import Parameter as RosParameter
 from std_srvs.srv import SetBool, Trigger
 
 from waferbot_copley import amplifier
+from waferbot_copley.faults import describe
 from waferbot_copley.settings import amplifier_parameters, settings_of
 from waferbot_lockstep.contract import (
     ALL_ENCODERS,
@@ -32,7 +35,7 @@ from waferbot_lockstep.contract import (
     axes_mask,
 )
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.node import LOCKSTEP, LockstepNode, run_node
+from waferbot_lockstep.node import LOCKSTEP, LockstepNode, Trouble, run_node
 
 
 class CopleyNode(LockstepNode):
@@ -52,11 +55,13 @@ class CopleyNode(LockstepNode):
         self._model_parameters = amplifier_parameters(self._settings, self.timing, 'copley')
         self._model_state = amplifier.initial_state(self._model_parameters)
         self._tick = 0
+        self._waiting_tick: int | None = None  # in real time, the tick that lacks an input
         self._voltage = np.zeros(3 * len(AXES))
         self._accumulator = np.zeros(len(AXES))
         self._setpoint = np.zeros(len(AXES))
         self._limits = np.zeros(len(AXES), np.uint8)
         self._faults = np.zeros(len(AXES), np.uint32)
+        self._faults_told = [0] * len(AXES)
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.create_service(Trigger, '~/reset_faults', self._on_reset_faults)
@@ -78,11 +83,42 @@ class CopleyNode(LockstepNode):
                 self._close_loop()
                 if self.end_tick and self._tick >= self.end_tick:
                     self.finish()
-        elif topic is PHASE_CURRENTS and all(box.complete for box in self.inboxes.values()):
-            self._tick = self.inboxes[PHASE_CURRENTS].newest_tick
-            for box in self.inboxes.values():
-                box.now = self._tick
-            self._close_loop()
+        else:
+            self._answer_newest(topic)
+
+    def _answer_newest(self, topic: Topic) -> None:
+        """
+        In real time, close the loop of the newest tick that has not been answered.
+
+        Commands and counts of that tick are waited for, but only until the plant is at the next one:
+        then it has not waited for us, and we no longer wait for whoever kept us waiting.
+        """
+        currents = self.inboxes[PHASE_CURRENTS]
+        tick = currents.newest_tick
+        if topic is PHASE_CURRENTS:
+            now_s = time.monotonic()
+            for box in self._inputs:
+                if self._waiting_tick is not None and self._waiting_tick < tick:
+                    box.give_up(self._waiting_tick)
+                if not box.gives_time:
+                    box.reach(tick, now_s)
+            self._waiting_tick = None
+        if tick < self._tick or not all(box.complete for box in self._inputs):
+            return
+        if self.patience_s > 0.0 and any(box.waits_for(tick) for box in self._inputs):
+            self._waiting_tick = tick
+            return
+        self._waiting_tick = None
+        self._tick = tick
+        self._close_loop()
+        if self.end_tick and self._tick >= self.end_tick:
+            self.finish()
+
+    def begin_anew(self) -> None:
+        """Forget currents and integrators of the plant that was there before."""
+        self._model_state[:] = amplifier.initial_state(self._model_parameters)
+        self._tick = 0
+        self._waiting_tick = None
 
     def _inputs_complete(self) -> bool:
         """Whether every input that has a message at this tick has it."""
@@ -123,6 +159,7 @@ class CopleyNode(LockstepNode):
             self._limits,
             self._faults,
         )
+        self._tell_faults(tick)
         self.give(
             AMPLIFIER_STATE,
             tick,
@@ -134,6 +171,24 @@ class CopleyNode(LockstepNode):
                 *self._faults.tolist(),
             ],
         )
+
+    def _tell_faults(self, tick: int) -> None:
+        """Say once that an amplifier has found a fault."""
+        for place, axis in enumerate(AXES):
+            found = int(self._faults[place])
+            if self._axes >> place & 1 and found & ~self._faults_told[place]:
+                self.get_logger().error(
+                    f'{axis}: {describe(found)} at tick {tick} ({self.timing.seconds(tick):.4f} s)'
+                )
+            self._faults_told[place] = found
+
+    def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
+        """Tell which faults there are."""
+        return {}, [
+            (DiagnosticStatus.ERROR, f'{axis}: {describe(found)}')
+            for axis, found in zip(AXES, self._faults_told, strict=True)
+            if found
+        ]
 
     # ---- what a user changes ---------------------------------------------------------------------
 

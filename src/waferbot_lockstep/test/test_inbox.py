@@ -14,7 +14,7 @@ from waferbot_lockstep.contract import (
     PHASE_VOLTAGES,
 )
 from waferbot_lockstep.errors import LockstepError
-from waferbot_lockstep.inbox import Inbox, NewestInput
+from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.timing import Timing
 
 TIMING = Timing()
@@ -156,24 +156,6 @@ def test_any_legal_traffic_keeps_order(actions):
             given = set()
 
 
-def test_newest_wins_and_lateness_is_counted():
-    newest = NewestInput(PHASE_VOLTAGES, TIMING, 0b001)
-    assert not newest.complete
-    push(newest, 0)
-    newest.now = 5
-    push(newest, 4)  # late by one, and three were never sent
-    assert (newest.received, newest.late, newest.missed) == (2, 1, 3)
-    assert push(newest, 2) is False, 'older than what is there'
-    assert newest.values[:3].tolist() == list(volts(4)[:3])
-    assert newest.newest_tick == 4
-
-
-def test_newest_refuses_values_that_are_no_numbers():
-    newest = NewestInput(PHASE_VOLTAGES, TIMING, ALL_AXES)
-    with pytest.raises(LockstepError, match='no finite number'):
-        push(newest, 0, values=(*(math.nan,) * 9, 0))
-
-
 def test_only_what_a_message_speaks_for_must_be_finite():
     inbox = inbox_at(0)
     assert push(inbox, 0, 0b001, (*volts(0)[:3], *[math.nan] * 6, 0))
@@ -184,13 +166,3 @@ def test_only_what_a_message_speaks_for_must_be_finite():
 def test_large_finite_values_are_no_infinity():
     inbox = inbox_at(0)
     assert push(inbox, 0, values=(*[1.7e308] * 9, 0))
-
-
-def test_real_time_refuses_the_future_and_tells_how_far_it_is_behind():
-    inbox = NewestInput(PHASE_VOLTAGES, TIMING, ALL_AXES)
-    inbox.newest_possible = 10
-    push(inbox, 10)
-    with pytest.raises(LockstepError, match=r'tick 11 .*future'):
-        push(inbox, 11)
-    inbox.now = inbox.newest_possible = 25
-    assert inbox.behind == 15

@@ -21,7 +21,7 @@ from waferbot_lockstep.errors import LockstepError
 from waferbot_lockstep.timing import Timing
 
 
-class _TopicInput:
+class TopicInput:
     """What every input of the contract checks, whichever way time is kept."""
 
     def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
@@ -34,20 +34,21 @@ class _TopicInput:
         self.mask = 0
         self.heard = 0
 
-    def _check(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> None:
+    def check(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> None:
+        """Refuse what no honest peer can send; note from which places something came."""
         self.heard |= valid
         if valid == 0 or valid & ~self.topic.all_places:
-            raise self._error(tick, f'speaks for axes that do not exist (valid = {valid:#x})')
+            raise self.error(tick, f'speaks for axes that do not exist (valid = {valid:#x})')
         if tick % self.spacing:
-            raise self._error(tick, f'is no tick of this topic, which has every {self.spacing}th')
+            raise self.error(tick, f'is no tick of this topic, which has every {self.spacing}th')
         if stamp_ns != self.timing.stamp_ns(tick):
-            raise self._error(
+            raise self.error(
                 tick,
                 f'has the stamp {stamp_ns} ns, which is not that of its tick '
                 f'({self.timing.stamp_ns(tick)} ns)',
             )
         if not math.isfinite(sum(values)) and not self._finite(valid, values):
-            raise self._error(tick, f'holds a value that is no finite number: {tuple(values)}')
+            raise self.error(tick, f'holds a value that is no finite number: {tuple(values)}')
 
     def _finite(self, valid: int, values: Sequence[float]) -> bool:
         """Tell whether all values of the places in `valid` are finite numbers, one by one."""
@@ -58,7 +59,7 @@ class _TopicInput:
             if valid >> index // width & 1
         )
 
-    def _keep(self, relevant: int, values: Sequence[float]) -> None:
+    def keep(self, relevant: int, values: Sequence[float]) -> None:
         """Put the values and mask bits of the places in `relevant` where they belong."""
         if relevant == self.topic.all_places:
             self.values[:] = values[: self.values.size]
@@ -71,14 +72,15 @@ class _TopicInput:
         if self.topic.mask:
             self.mask = self.mask & ~relevant | int(values[-1]) & relevant
 
-    def _error(self, tick: int, what: str, mask: int = 0) -> LockstepError:
+    def error(self, tick: int, what: str, mask: int = 0) -> LockstepError:
+        """Return the error that names topic, tick and peer."""
         axes = f' ({self.topic.names_of(mask)})' if self.topic.names_of(mask) else ''
         return LockstepError(
             f'topic {self.topic.name}, tick {tick}{axes} from {self.topic.publisher}: {what}'
         )
 
 
-class Inbox(_TopicInput):
+class Inbox(TopicInput):
     """
     The lock-step input of one topic.
 
@@ -121,20 +123,20 @@ class Inbox(_TopicInput):
         `values` is the tuple of all values behind `valid` in the message. Places that this node does
         not need are passed over. Raises `LockstepError` as the module's docstring says.
         """
-        self._check(tick, stamp_ns, valid, values)
+        self.check(tick, stamp_ns, valid, values)
         relevant = valid & self.needed
         if not relevant:
             return False
         message = (relevant, values)
         if tick == self.due:
             if not relevant & self._covered:
-                self._keep(relevant, values)
+                self.keep(relevant, values)
                 self._covered |= relevant
                 self._messages.append(message)
                 return True
             if message in self._messages:
                 return False
-            raise self._error(
+            raise self.error(
                 tick,
                 'came twice, and not the same: two nodes speak for the same axis',
                 relevant & self._covered,
@@ -142,79 +144,9 @@ class Inbox(_TopicInput):
         if tick == self.due - self.spacing and message in self._previous:
             return False
         if tick < self.due:
-            raise self._error(tick, f'is stale or out of order: tick {self.due} is due', relevant)
-        raise self._error(
+            raise self.error(tick, f'is stale or out of order: tick {self.due} is due', relevant)
+        raise self.error(
             self.due,
             f'is missing: tick {tick} came instead',
             relevant & ~self._covered or relevant,
         )
-
-
-class NewestInput(_TopicInput):
-    """
-    The input of one topic when the plant follows the wall clock: the newest value wins.
-
-    Nothing waits, so lateness is counted instead: `late` messages are older than `now`, the tick at
-    which their receiver already is; `missed` ticks of a place were passed over without a message.
-    A message older than the newest of its place changes nothing. `newest_possible` is the last tick
-    that anybody can speak for (None: the receiver does not know); one beyond it would shut out all
-    that follow, so it raises `LockstepError`.
-    """
-
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
-        """Start with all values zero and nothing received."""
-        super().__init__(topic, timing, needed)
-        self.now = 0
-        self.newest_possible: int | None = None
-        self.received = 0
-        self.late = 0
-        self.missed = 0
-        self._newest = [-1] * len(topic.places)
-
-    @property
-    def complete(self) -> bool:
-        """Whether every needed place has spoken at least once."""
-        return all(
-            tick >= 0 for place, tick in enumerate(self._newest) if self.needed >> place & 1
-        )
-
-    @property
-    def missing(self) -> str:
-        """The places that have not spoken yet, by name."""
-        silent = [
-            place
-            for place, tick in enumerate(self._newest)
-            if self.needed >> place & 1 and tick < 0
-        ]
-        return ', '.join(self.topic.places[place] for place in silent)
-
-    @property
-    def behind(self) -> int:
-        """How many ticks the oldest of the values in use lags behind `now`."""
-        return max(0, self.now - self.newest_tick)
-
-    @property
-    def newest_tick(self) -> int:
-        """The newest tick that every needed place has reached (-1: some have not spoken)."""
-        return min(tick for place, tick in enumerate(self._newest) if self.needed >> place & 1)
-
-    def push(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
-        """Take one message; return whether any needed place became newer by it."""
-        self._check(tick, stamp_ns, valid, values)
-        if self.newest_possible is not None and tick > self.newest_possible:
-            raise self._error(
-                tick, f'is from the future: time stands at tick {self.newest_possible}'
-            )
-        relevant = valid & self.needed
-        new = 0
-        for place, newest in enumerate(self._newest):
-            if relevant >> place & 1 and tick > newest:
-                if newest >= 0:
-                    self.missed += (tick - newest) // self.spacing - 1
-                self._newest[place] = tick
-                new |= 1 << place
-        if new:
-            self._keep(new, values)
-            self.received += 1
-            self.late += tick < self.now
-        return bool(new)

@@ -10,13 +10,18 @@ to do when an input has come. Everything else is here:
   know that it lives. So start order does not matter, a paused twin stays together, and silence means
   that a peer is gone.
 - A node that finds an error publishes it once on `stop` and ends; the others end with that reason.
+
+In real time (`timekeeping: realtime`) the inputs are those of `waferbot_lockstep.newest_input`: nobody
+ends because of a message that is late, lost, doubled or early, nor because a peer is silent or has
+stopped. All of that is counted and told on `/diagnostics`, and a peer that comes back is taken in
+again.
 """
 
 from __future__ import annotations
 
-import os
+import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import rclpy
@@ -40,12 +45,14 @@ from rclpy.signals import SignalHandlerOptions
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
 from waferbot_lockstep.errors import LockstepError, UserError
-from waferbot_lockstep.inbox import Inbox, NewestInput
+from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.transport import choose_transport
 from waferbot_lockstep.wire import WireFormat
 
 SIGN_OF_LIFE_PERIOD_S = 0.1
@@ -56,6 +63,9 @@ DIAGNOSTICS_PERIOD_S = 1.0
 WAITING_NOTICE_PERIOD_S = 5.0
 INTERRUPTED = 'interrupted by the user'
 
+Trouble = tuple[bytes, str]
+"""Level (of `DiagnosticStatus`) and text of something that is wrong."""
+
 
 def lockstep_qos(depth: int = HISTORY_DEPTH) -> QoSProfile:
     """Return the quality of service of the contract's topics: reliable, volatile, keep last."""
@@ -65,6 +75,11 @@ def lockstep_qos(depth: int = HISTORY_DEPTH) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.VOLATILE,
     )
+
+
+def latched_qos() -> QoSProfile:
+    """Return the quality of service of what is said once, for whoever comes later."""
+    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class LockstepNode(Node):
@@ -91,6 +106,7 @@ class LockstepNode(Node):
             int(settings['servo_divider']),
         )
         self.end_tick = int(settings['end_tick'])
+        self.patience_s = float(settings['patience_s'])
         self.timekeeping = self.declare_choice(
             'timekeeping', LOCKSTEP, (LOCKSTEP, REALTIME), 'who waits for whom'
         )
@@ -118,6 +134,9 @@ class LockstepNode(Node):
         self._last_heard_s: dict[tuple[Topic, int], float] = {}
         self._progress = 0
         self._seen_progress = -1
+        self._silent: set[Topic] = set()
+        self._told: dict[Topic, tuple[int, int]] = {}  # (received, trouble) when last told
+        self._told_s = 0.0
 
     # ---- what a node says of itself -------------------------------------------------------------
 
@@ -129,6 +148,9 @@ class LockstepNode(Node):
     def tick(self) -> int:
         """The tick at which this node stands, for stamps and messages."""
         raise NotImplementedError
+
+    def begin_anew(self) -> None:
+        """Start from the beginning, as the plant has (only in real time)."""
 
     def sleep_time_s(self) -> float | None:
         """Return the wall time until `on_time` is due; None if this node never needs to be woken."""
@@ -184,6 +206,7 @@ class LockstepNode(Node):
         stop.header.stamp.sec, stop.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
         self._last_messages = {self._stop_publisher: stop}
         self._stop_publisher.publish(stop)
+        self._on_diagnostics()
 
     def interrupt(self) -> None:
         """Stop because the user said so."""
@@ -224,22 +247,47 @@ class LockstepNode(Node):
         """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
         message_type = getattr(waferbot_msgs.msg, topic.message)
         decode = WireFormat(message_type).decode
-        input_type = Inbox if self.timekeeping == LOCKSTEP else NewestInput
-        inbox = self.inboxes[topic] = input_type(topic, self.timing, mask)
+        if self.timekeeping == REALTIME:
+            push = self._real_time_input(topic, mask)
+        else:
+            inbox = self.inboxes[topic] = Inbox(topic, self.timing, mask)
+            push = inbox.push
 
         def on_message(data: bytes) -> None:
             if self.outcome is not None:
                 return
             try:
-                if inbox.push(*decode(data)):
+                if push(*decode(data)):
                     self.on_input(topic)
             except UserError as error:
                 self.fail(str(error))
 
         self.create_subscription(message_type, topic.name, on_message, lockstep_qos(), raw=True)
 
+    def _real_time_input(self, topic: Topic, mask: int) -> Callable[..., bool]:
+        """Add the input of a topic in real time; return the function that takes its messages."""
+        inbox = self.inboxes[topic] = NewestInput(topic, self.timing, mask)
+
+        def push(tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
+            new = inbox.push(tick, stamp_ns, valid, values, time.monotonic())
+            if inbox.began_anew:
+                inbox.began_anew = False
+                for other in self.inboxes.values():
+                    if other is not inbox:
+                        other.forget()
+                self.get_logger().warning('the plant has begun anew; so does this node')
+                self.begin_anew()
+            return new
+
+        return push
+
     def _on_stop(self, stop: Any) -> None:
         if self.outcome is not None or stop.node == self.get_fully_qualified_name():
+            return
+        if self.timekeeping == REALTIME:
+            self.get_logger().warning(
+                f'{stop.node} stopped at tick {stop.tick}: {stop.reason}; going on without it'
+            )
             return
         if stop.reason == INTERRUPTED:
             self.outcome = ''
@@ -270,22 +318,49 @@ class LockstepNode(Node):
                 key = (topic, place)
                 if heard >> place & 1:
                     self._last_heard_s[key] = now_s
-                elif key in self._last_heard_s:
-                    self._check_silence(inbox, place, now_s - self._last_heard_s[key])
-                else:
+                elif key not in self._last_heard_s:
                     self._check_startup(inbox, now_s)
+                elif self.timekeeping == LOCKSTEP:
+                    self._check_silence(inbox, place, now_s - self._last_heard_s[key])
                 if self.outcome is not None:
                     return
+            if self.timekeeping == REALTIME:
+                self._tell_silence(inbox, now_s)
+
+    def _tell_silence(self, inbox: NewestInput, now_s: float) -> None:
+        """In real time, say once that a peer has fallen silent, and that it is back."""
+        topic = inbox.topic
+        silence = self._silence(topic, now_s)
+        if silence and topic not in self._silent:
+            self._silent.add(topic)
+            self.get_logger().error(silence)
+        elif not silence and topic in self._silent:
+            self._silent.remove(topic)
+            self.get_logger().warning(f'{topic.publisher} is back: topic {topic.name} goes on')
+
+    def _silence(self, topic: Topic, now_s: float) -> str:
+        """Return which places of a topic have been silent for too long, and for how long; or ''."""
+        timeout_s = self.get_parameter('peer_timeout_s').value
+        silence_s = {
+            topic.places[place]: now_s - heard_s
+            for (heard_topic, place), heard_s in self._last_heard_s.items()
+            if heard_topic is topic and now_s - heard_s > timeout_s
+        }
+        if not silence_s:
+            return ''
+        return (
+            f'{topic.publisher} is gone: topic {topic.name} ({", ".join(silence_s)}) is silent for '
+            f'{max(silence_s.values()):.1f} s; its last values are held'
+        )
 
     def _check_silence(self, inbox: Any, place: int, silence_s: float) -> None:
         timeout_s = self.get_parameter('peer_timeout_s').value
         if silence_s <= timeout_s:
             return
         topic = inbox.topic
-        due = inbox.due if isinstance(inbox, Inbox) else inbox.newest_tick + inbox.spacing
         self.fail(
             f'{topic.publisher} is gone: topic {topic.name} ({topic.places[place]}) is silent for '
-            f'{silence_s:.1f} s, tick {due} never came; look at the end of the log of '
+            f'{silence_s:.1f} s, tick {inbox.due} never came; look at the end of the log of '
             f'{topic.publisher}'
         )
 
@@ -303,30 +378,63 @@ class LockstepNode(Node):
             self.get_logger().info(f'waiting for {what}')
 
     def _on_diagnostics(self) -> None:
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.OK,
-            name=f'{self.get_fully_qualified_name()}: timekeeping',
-            message=self.timekeeping,
-            hardware_id='waferbot',
-            values=[KeyValue(key='tick', value=str(self.tick))],
-        )
+        now_s = time.monotonic()
+        period_s, self._told_s = now_s - (self._told_s or self._begun_s), now_s
+        own_values, troubles = self.diagnostics()
+        values = {'tick': str(self.tick)}
         for topic, inbox in self.inboxes.items():
-            if not isinstance(inbox, NewestInput):
-                continue
-            for key in ('received', 'late', 'missed', 'behind'):
-                value = str(getattr(inbox, key))
-                status.values.append(KeyValue(key=f'{topic.name} {key}', value=value))
-            if inbox.late or inbox.missed:
-                status.level = DiagnosticStatus.WARN
-                status.message = 'messages came late or not at all'
-        status.values.extend(self.diagnostic_values())
+            if isinstance(inbox, NewestInput):
+                values.update(self._arrival_values(topic, inbox, period_s))
+                troubles.extend(self._arrival_troubles(topic, inbox, now_s))
+                self._told[topic] = inbox.arrivals.received, inbox.arrivals.trouble
+        values.update(own_values)
+        if self.outcome:
+            troubles.insert(0, (DiagnosticStatus.ERROR, self.outcome))
+        status = DiagnosticStatus(
+            level=max((level for level, _ in troubles), default=DiagnosticStatus.OK),
+            name=f'{self.get_fully_qualified_name()}: timekeeping',
+            message='; '.join(text for _, text in troubles) or self.timekeeping,
+            hardware_id='waferbot',
+            values=[KeyValue(key=key, value=value) for key, value in values.items()],
+        )
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
 
-    def diagnostic_values(self) -> list[KeyValue]:
-        """Return what a node adds to its diagnostics."""
-        return []
+    def _arrival_values(self, topic: Topic, inbox: NewestInput, period_s: float) -> dict[str, str]:
+        """Return how the messages of a topic came, in real time."""
+        arrivals = inbox.arrivals
+        received_before = self._told.get(topic, (0, 0))[0]
+        rate_hz = (arrivals.received - received_before) / period_s if period_s > 0.0 else 0.0
+        figures = {
+            'rate [1/s of wall time]': f'{rate_hz:.0f}',
+            'received': str(arrivals.received),
+            'late': str(arrivals.late),
+            'missed': str(arrivals.missed),
+            'early': str(arrivals.early),
+            'doubled': str(arrivals.doubled),
+            'contradicting': str(arrivals.contradicting),
+            'behind [ticks]': str(inbox.behind),
+            'longest silence [ms]': f'{1e3 * arrivals.longest_silence_s:.3g}',
+        }
+        if not inbox.gives_time:
+            figures['lateness, 99th percentile [ms]'] = f'{1e3 * arrivals.percentile_s(99):.3g}'
+            figures['lateness, worst [ms]'] = f'{1e3 * arrivals.worst_s:.3g}'
+        return {f'{topic.name} {key}': value for key, value in figures.items()}
+
+    def _arrival_troubles(
+        self, topic: Topic, inbox: NewestInput, now_s: float
+    ) -> Iterator[Trouble]:
+        """Yield what went wrong on a topic since it was last told."""
+        silence = self._silence(topic, now_s)
+        if silence:
+            yield DiagnosticStatus.ERROR, silence
+        elif inbox.arrivals.trouble != self._told.get(topic, (0, 0))[1]:
+            yield DiagnosticStatus.WARN, f'{topic.name}: messages came late, early or not at all'
+
+    def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
+        """Return what a node adds to its diagnostics: values, and what is wrong with it now."""
+        return {}, []
 
     # ---- parameters ------------------------------------------------------------------------------
 
@@ -487,8 +595,7 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
 
     `make_node` is called without arguments once rclpy is up.
     """
-    # Discovery stays on this machine unless the user asks for more.
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    choose_transport(sys.argv if arguments is None else arguments)
     interrupt = Interrupt()
     ensure_log_folder()
     rclpy.init(

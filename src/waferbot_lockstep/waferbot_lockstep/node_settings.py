@@ -23,6 +23,16 @@ NODE_SETTINGS = (
     Parameter(
         'startup_timeout_s', 0.0, 's', 0.0, 3600.0, 'wall time to wait for peers; 0: for ever'
     ),
+    Parameter(
+        'patience_s',
+        0.1,
+        's',
+        0.0,
+        10.0,
+        'in real time, wall time to wait for an input of a tick before going on with the newest; '
+        '0: never wait',
+        fixed=True,
+    ),
 )
 
 NODE_PARAMETERS = (

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The standard messages of the twin as bytes: `sensor_msgs/JointState` and `rosgraph_msgs/Clock`.
+The standard messages of the twin as bytes: `JointState`, `Clock`, and the robot's description.
 
 The plant node publishes these bytes and the in-process runner records the same, so that both give
 the same file. CDR as in `waferbot_lockstep.wire`.
@@ -14,13 +14,25 @@ from collections.abc import Sequence
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_lockstep.wire import LITTLE_ENDIAN
 
-CLOCK = ('/clock', 'rosgraph_msgs/msg/Clock')
+CLOCK = ('clock', 'rosgraph_msgs/msg/Clock')
+"""Relative, so that a twin in a namespace has its own; tools expect `/clock` and are remapped there."""
+
+ROBOT_DESCRIPTION = ('robot_description', 'std_msgs/msg/String')
+"""Latched: said once, kept for whoever comes later."""
+
 JOINT_STATES = ('joint_states', 'sensor_msgs/msg/JointState')
 
 
 def clock_message(stamp_ns: int) -> bytes:
     """Return a `Clock` message."""
     return LITTLE_ENDIAN + struct.pack('<iI', *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
+
+
+def string_message(text: str) -> bytes:
+    """Return a `String` message."""
+    body = bytearray()
+    _append_string(body, text)
+    return LITTLE_ENDIAN + bytes(body)
 
 
 def joint_state_message(

@@ -3,9 +3,12 @@
 The plant as a ROS 2 node: terminal voltages in, encoder counts and measured currents out.
 
 The plant keeps the time of the twin. In lock-step it goes to the next tick when the voltages of this
-one are there; in real time it follows the wall clock and uses the newest voltages. Service `~/pause`
-stops and continues time; a twin that is paused at tick 0 (parameter `start_paused`) waits there with
-all its nodes connected, so that nobody misses the beginning.
+one are there. In real time it follows the wall clock: it waits for the voltages of a tick too, but no
+longer than `patience_s`, then it goes on with the newest and waits no more until they are heard again.
+So amplifiers that are alive but slow make sim time slow, which is told; those that are gone do not.
+
+Service `~/pause` stops and continues time; a twin that is paused at tick 0 (parameter `start_paused`)
+waits there with all its nodes connected, so that nobody misses the beginning.
 """
 
 from __future__ import annotations
@@ -16,8 +19,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import KeyValue
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from diagnostic_msgs.msg import DiagnosticStatus
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -34,21 +36,35 @@ from waferbot_lockstep.contract import (
     SLOW_DIVIDER,
     Topic,
 )
-from waferbot_lockstep.node import LOCKSTEP, REALTIME, LockstepNode, lockstep_qos, run_node
+from waferbot_lockstep.node import (
+    LOCKSTEP,
+    REALTIME,
+    LockstepNode,
+    Trouble,
+    latched_qos,
+    lockstep_qos,
+    run_node,
+)
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
+    ROBOT_DESCRIPTION,
     clock_message,
     joint_state_message,
+    string_message,
 )
 from waferbot_msgs.msg import Recorded
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.node_settings import PLANT_SETTINGS
+from waferbot_plant.pace import LONGEST_LAG_S, Pace
 from waferbot_plant.urdf import urdf
 
-LONGEST_STRETCH_TICKS = 1800
-"""In real time, ticks that may be made up for at once after a delay (0.1 s) before others are served."""
+UNWATCHED_TICKS = 8
+"""In real time, ticks that may be taken at once when there are no voltages to wait for."""
+
+SLOW = 0.97
+"""In real time, the part of the rate asked for below which the machine is said to be too slow."""
 
 
 class PlantNode(LockstepNode):
@@ -71,7 +87,7 @@ class PlantNode(LockstepNode):
             )
         )
         settings = self.declare_settings('', PLANT_SETTINGS)
-        self._realtime_factor = float(settings['realtime_factor'])
+        self._pace = Pace(float(settings['realtime_factor']), self.timing.tick_s)
         self._recorder_window = int(settings['recorder_window'])
         self._recorded = 0
         self._recorder_heard_s = 0.0
@@ -86,15 +102,14 @@ class PlantNode(LockstepNode):
         self._position = np.zeros(len(AXES))
         self._velocity = np.zeros(len(AXES))
         self._due = False
-        self._started_s: float | None = None
-        self._started_tick = 0
-        self._slowest_lag_ticks = 0
+        self._measured_s = 0.0
         self._warm_up(machine)
         self._clock_publisher = self.create_publisher(ClockMessage, CLOCK[0], lockstep_qos())
         self._joint_publisher = self.create_publisher(JointState, JOINT_STATES[0], lockstep_qos())
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._description_publisher = self.create_publisher(String, 'robot_description', latched)
-        self._description_publisher.publish(String(data=urdf(machine.description)))
+        self._description_publisher = self.create_publisher(
+            String, ROBOT_DESCRIPTION[0], latched_qos()
+        )
+        self._description_publisher.publish(string_message(urdf(machine.description)))
         self.create_service(SetBool, '~/pause', self._on_pause)
         if self._recorder_window:
             self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())
@@ -118,9 +133,10 @@ class PlantNode(LockstepNode):
             inbox.consumed()
             self._due = True
             self._advance_if_free()
-        elif self._started_s is None and not self._paused:
-            self._started_s = time.monotonic()
-            self._started_tick = self._tick
+        elif self._pace.running:
+            self._follow_wall_clock()
+        elif not self._paused:
+            self._pace.start(self._tick, time.monotonic())
 
     def _advance_if_free(self) -> None:
         """Take the tick that is due, unless time is paused or the recorder too far behind."""
@@ -134,22 +150,34 @@ class PlantNode(LockstepNode):
         self._advance_if_free()
 
     def sleep_time_s(self) -> float | None:
-        """Return the wall time until the next tick is due."""
-        if self.timekeeping != REALTIME or self._started_s is None or self._paused:
+        """Return the wall time until the next tick is due, or until its voltages have taken too long."""
+        if not self._pace.running:
             return None
-        ahead = (self._tick + 1 - self._started_tick) * self.timing.tick_s / self._realtime_factor
-        return self._started_s + ahead - time.monotonic()
+        due_s = self._pace.due_s(self._tick + 1)
+        if self._waits_for_voltages():
+            due_s = max(due_s, self._measured_s + self.patience_s)
+        return due_s - time.monotonic()
 
     def on_time(self) -> None:
-        """Follow the wall clock: take every tick that is due, with the newest voltages."""
-        for _ in range(LONGEST_STRETCH_TICKS):
-            wait_s = self.sleep_time_s()
-            if wait_s is None or wait_s > 0.0 or self.outcome is not None:
-                return
-            lag = int(-wait_s * self._realtime_factor * self.timing.current_loop_hz)
-            self._slowest_lag_ticks = max(self._slowest_lag_ticks, lag)
-            self.inboxes[PHASE_VOLTAGES].now = self._tick + 1
-            self._advance()
+        """Follow the wall clock; with nobody to wait for, several ticks at once."""
+        for _ in range(UNWATCHED_TICKS if self.patience_s > 0.0 else 1):
+            self._follow_wall_clock()
+
+    def _waits_for_voltages(self) -> bool:
+        inbox = self.inboxes[PHASE_VOLTAGES]
+        return self.patience_s > 0.0 and inbox.waits_for(self._tick)
+
+    def _follow_wall_clock(self) -> None:
+        """Take the next tick if it is due, and its voltages are in or have been waited for in vain."""
+        wait_s = self.sleep_time_s()
+        if wait_s is None or wait_s > 0.0 or self.outcome is not None:
+            return
+        in_vain = self._waits_for_voltages()
+        if in_vain:
+            self.inboxes[PHASE_VOLTAGES].give_up(self._tick)
+        longest_s = 0.0 if in_vain else LONGEST_LAG_S
+        self._pace.come_to(self._tick + 1, time.monotonic(), longest_s)
+        self._advance()
 
     def _advance(self) -> None:
         """Integrate over this tick with the voltages held, then measure at the next one."""
@@ -167,7 +195,8 @@ class PlantNode(LockstepNode):
     def _measure(self) -> None:
         tick = self._tick
         if self.timekeeping == REALTIME:
-            self.inboxes[PHASE_VOLTAGES].newest_possible = tick
+            self._measured_s = time.monotonic()
+            self.inboxes[PHASE_VOLTAGES].reach(tick, self._measured_s)
         if tick % SLOW_DIVIDER == 0:
             coordinate = plant.runaway(self._model_state)
             if coordinate >= 0:
@@ -202,10 +231,10 @@ class PlantNode(LockstepNode):
         self._paused = request.data
         response.success = True
         response.message = f'{"paused" if request.data else "running"} at tick {self._tick}'
-        self._started_s = None
+        self._pace.stop()
         if self.timekeeping == LOCKSTEP:
             self._advance_if_free()
-        elif not self._paused:
+        else:
             self.on_input(PHASE_VOLTAGES)
         return response
 
@@ -219,14 +248,24 @@ class PlantNode(LockstepNode):
                 f'everything before tick {self._recorded} was recorded'
             )
 
-    def diagnostic_values(self) -> list[KeyValue]:
-        """Tell how far the plant fell behind the wall clock."""
+    def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
+        """Tell how sim time goes against the wall clock."""
+        values = {'paused': str(self._paused)}
         if self.timekeeping != REALTIME:
-            return [KeyValue(key='paused', value=str(self._paused))]
-        return [
-            KeyValue(key='paused', value=str(self._paused)),
-            KeyValue(key='realtime factor', value=f'{self._realtime_factor:g}'),
-            KeyValue(key='largest lag in ticks', value=str(self._slowest_lag_ticks)),
+            return values, []
+        rate = self._pace.rate(time.monotonic())
+        values['realtime factor'] = '' if rate is None else f'{rate:.3f}'
+        values['realtime factor asked for'] = f'{self._pace.factor:g}'
+        values['worst lag [ms]'] = f'{1e3 * self._pace.worst_lag_s:.3g}'
+        values['wall time written off [s]'] = f'{self._pace.written_off_s:.3f}'
+        if rate is None or rate >= SLOW * self._pace.factor:
+            return values, []
+        return values, [
+            (
+                DiagnosticStatus.WARN,
+                f'{rate:.2g} x real time, {self._pace.factor:g} x asked for: the machine is too slow '
+                f'for {self.timing.current_loop_hz / 1000:g} kHz over these processes',
+            )
         ]
 
     def _warm_up(self, machine: Any) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.action import ActionServer, GoalResponse
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
@@ -24,17 +25,20 @@ from waferbot_lockstep.contract import (
     ALL_ENCODERS,
     AXES,
     CURRENT_COMMAND,
+    ENCODERS,
     ENCODERS_TOPIC,
     SERVO_STATE,
     Topic,
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.inbox import Inbox
-from waferbot_lockstep.node import LockstepNode, run_node
+from waferbot_lockstep.newest_input import NewestInput
+from waferbot_lockstep.node import LockstepNode, Trouble, run_node
 from waferbot_msgs.action import RunExperiment
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
+from waferbot_pmac.killed import KilledMotors
 
 FEEDBACK_CYCLES = 225
 """Servo cycles between two feedback messages of a running experiment (0.1 s)."""
@@ -87,14 +91,16 @@ class PmacNode(LockstepNode):
         self._current = np.zeros(len(AXES))
         self._cycle = 0
         self._primed = False
-        name = self.declare_fixed(
+        self._experiment = self.declare_fixed(
             'experiment', 'constant', 'what begins at tick 0: name, file or text of an experiment'
         )
-        self._motion = self._load(name, np.zeros(len(AXES)))
+        self._motion = self._load(self._experiment, np.zeros(len(AXES)))
+        self._counts_before = np.zeros(len(ENCODERS), np.int64)
+        self._killed = KilledMotors()
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)
         self._goal: Any = None
-        self._goal_done: Future | None = None
+        self._goal_done: Future | None = None  # its result: why it failed, '' if it did not
         self._actions = ActionServer(
             self,
             RunExperiment,
@@ -120,17 +126,56 @@ class PmacNode(LockstepNode):
                 self._servo_cycle(tick, inbox.values)
             if self.end_tick and tick + inbox.spacing >= self.end_tick:
                 self.finish()
-            return
+        elif inbox.complete:
+            self._follow_newest(inbox)
+
+    def _follow_newest(self, inbox: NewestInput) -> None:
+        """In real time, run the servo cycle of the newest counts, and those that were passed over."""
         cycle = inbox.newest_tick // self.timing.servo_divider
-        if inbox.complete and cycle >= self._cycle:
+        if cycle >= self._cycle:
+            if self._primed:
+                self._make_up(cycle, inbox.values)
             self._cycle = cycle
-            inbox.now = self.tick
+            self._counts_before[:] = inbox.values
             self._servo_cycle(self.tick, inbox.values)
+        if self.end_tick and inbox.newest_tick + inbox.spacing >= self.end_tick:
+            self.finish()
+
+    def _make_up(self, cycle: int, counts: np.ndarray) -> None:
+        """
+        Run the cycles before `cycle` that had no counts, on a straight line from the last to the newest.
+
+        Otherwise the servo would take the way of several cycles for that of one, and its derivative
+        would kick. Their commands go nowhere. After a long silence only the last second is made up.
+        """
+        missed = cycle - self._cycle
+        for behind in range(min(missed, int(self.timing.servo_hz)), 0, -1):
+            share = 1.0 - behind / (missed + 1)
+            between = self._counts_before + np.rint(share * (counts - self._counts_before))
+            servo.step(
+                self._model_state,
+                self._model_parameters,
+                between.astype(np.int64),
+                self._motion.commanded(cycle - behind),
+                self._current,
+            )
+
+    def begin_anew(self) -> None:
+        """Close the loops at the counts of the new plant, and begin the first experiment again."""
+        if self._goal is not None:
+            self._end_goal('the plant has begun anew')
+        self._cycle = 0
+        self._primed = False
+        self._killed = KilledMotors()
+        self._motion = self._load(self._experiment, np.zeros(len(AXES)))
 
     def _servo_cycle(self, tick: int, counts: np.ndarray) -> None:
         if not self._primed:
             position_encoders = self._model_parameters['Ixx03'][0]
             self._motion.start = counts[position_encoders].astype(np.float64)
+            self._motion.first_cycle = (
+                self._cycle
+            )  # not 0 if the plant was there before, in real time
             servo.prime(self._model_state, self._model_parameters, counts, self._motion.start)
             self._primed = True
         commanded = self._motion.commanded(self._cycle)
@@ -149,9 +194,24 @@ class PmacNode(LockstepNode):
                 *state['flags'].tolist(),
             ],
         )
+        if state['killed'].any():
+            self._watch_killed(tick, state['flags'])
         if self._goal is not None:
             self._follow_goal(tick, state['following_error'])
         self._cycle += 1
+
+    def _watch_killed(self, tick: int, flags: np.ndarray) -> None:
+        """Say once that a motor was killed; an experiment that is being run has failed by it."""
+        if self._killed.note(tick, flags):
+            reason = self._killed.reason(self.timing)
+            self.get_logger().error(reason)
+            if self._goal is not None:
+                self._end_goal(reason)
+
+    def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
+        """Tell which motors are killed."""
+        reason = self._killed.reason(self.timing)
+        return {}, [(DiagnosticStatus.ERROR, reason)] if reason else []
 
     # ---- experiments -----------------------------------------------------------------------------
 
@@ -167,6 +227,8 @@ class PmacNode(LockstepNode):
     async def _execute(self, goal: Any) -> Any:
         result = RunExperiment.Result()
         try:
+            if self._killed:
+                raise UserError(f'{self._killed.reason(self.timing)}; start the PMAC again')
             if not self._motion.at_rest(self._cycle):
                 raise UserError('another experiment still moves the axes; wait for its end')
             self._motion = self._load(
@@ -177,13 +239,17 @@ class PmacNode(LockstepNode):
             goal.abort()
             return result
         self._goal, self._goal_done = goal, Future()
-        await self._goal_done
-        result.success = True
-        result.first_tick = self._motion.first_cycle * self.timing.servo_divider
-        result.last_tick = self.tick - self.timing.servo_divider
-        result.peak_following_error = self._motion.peak_following_error
-        result.message = f'ran {len(self._motion.positions)} servo cycles'
-        goal.succeed()
+        motion = self._motion
+        failure = await self._goal_done
+        result.success = not failure
+        result.first_tick = motion.first_cycle * self.timing.servo_divider
+        result.last_tick = max(self.tick - self.timing.servo_divider, 0)
+        result.peak_following_error = motion.peak_following_error
+        result.message = failure or f'ran {len(motion.positions)} servo cycles'
+        if failure:
+            goal.abort()
+        else:
+            goal.succeed()
         return result
 
     def _follow_goal(self, tick: int, following_error: np.ndarray) -> None:
@@ -199,9 +265,13 @@ class PmacNode(LockstepNode):
             feedback.progress = min(1.0, (done + 1) / len(motion.positions))
             self._goal.publish_feedback(feedback)
         if motion.over(self._cycle):
-            goal_done, self._goal, self._goal_done = self._goal_done, None, None
-            if goal_done is not None:
-                goal_done.set_result(True)
+            self._end_goal('')
+
+    def _end_goal(self, failure: str) -> None:
+        """Let the experiment that is being run end, with why it failed or ''."""
+        goal_done, self._goal, self._goal_done = self._goal_done, None, None
+        if goal_done is not None:
+            goal_done.set_result(failure)
 
     # ---- parameters ------------------------------------------------------------------------------
 

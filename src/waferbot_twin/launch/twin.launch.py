@@ -6,15 +6,21 @@ Launch the twin: plant, PMAC and Copley, each its own node, running until stoppe
     ros2 launch waferbot_twin twin.launch.py model:=rigid copley_per_axis:=true
     ros2 launch waferbot_twin twin.launch.py without:=pmac      # then start your own controller
     ros2 action send_goal /run_experiment waferbot_msgs/action/RunExperiment "{experiment: step}"
+
+With a namespace everything of the twin is in it, its clock and transforms as well, so that several twins
+live beside each other. Tools that follow the time of one need
+`--ros-args -r /clock:=/NAMESPACE/clock`.
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
 from waferbot_lockstep.contract import AXES
+from waferbot_plant.plant import load_machine
+from waferbot_plant.urdf import urdf
 from waferbot_twin.models import load_model
 
 ARGUMENTS = (
@@ -48,9 +54,10 @@ ARGUMENTS = (
     DeclareLaunchArgument('namespace', default_value='', description='namespace of all nodes'),
     DeclareLaunchArgument(
         'state_publisher',
-        default_value='true',
-        choices=['true', 'false'],
-        description='start robot_state_publisher, so that RViz and Foxglove show the machine',
+        default_value='auto',
+        choices=['auto', 'true', 'false'],
+        description='start robot_state_publisher, so that RViz and Foxglove show the machine; '
+        'auto: if it is installed',
     ),
 )
 
@@ -77,34 +84,55 @@ def make_nodes(context):
     unknown = [name for name in without if name not in nodes]
     if unknown:
         raise RuntimeError(f'without: no node {", ".join(unknown)}; nodes: {", ".join(nodes)}')
+    machine = load_machine(parameters['plant'].get('description', 'rigid'))
+    return [
+        *state_publisher(argument['state_publisher'], argument['namespace'], machine),
+        *(
+            twin_node(kind, name, argument['namespace'], [own, common, extra])
+            for name, (kind, own, extra) in nodes.items()
+            if name not in without
+        ),
+    ]
+
+
+def twin_node(kind, name, namespace, parameters):
+    """Return a node of the twin."""
+    return Node(
+        package=f'waferbot_{kind}',
+        executable=kind,
+        name=name,
+        namespace=namespace,
+        output='screen',
+        emulate_tty=True,
+        parameters=parameters,
+    )
+
+
+def state_publisher(wanted, namespace, machine):
+    """
+    Return robot_state_publisher for the machine, or what to say where it lacks.
+
+    It is looked for before anything is started: a launch that fails halfway leaves its nodes behind.
+    """
+    if wanted == 'false':
+        return []
+    try:
+        get_package_prefix('robot_state_publisher')
+    except PackageNotFoundError:
+        lacks = 'robot_state_publisher is not installed'
+        if wanted == 'true':
+            raise RuntimeError(f'{lacks}; install it, or leave state_publisher:=auto') from None
+        return [LogInfo(msg=f'{lacks}: nobody publishes /tf')]
     return [
         Node(
-            package=f'waferbot_{kind}',
-            executable=kind,
-            name=name,
-            namespace=argument['namespace'],
-            output='screen',
-            emulate_tty=True,
-            parameters=[own, common, extra],
+            package='robot_state_publisher',
+            executable='robot_state_publisher',
+            namespace=namespace,
+            parameters=[{'robot_description': urdf(machine.description), 'use_sim_time': True}],
+            remappings=[('/clock', 'clock'), ('/tf', 'tf'), ('/tf_static', 'tf_static')],
         )
-        for name, (kind, own, extra) in nodes.items()
-        if name not in without
     ]
 
 
 def generate_launch_description():
-    state_publisher = Node(
-        package='robot_state_publisher',
-        executable='robot_state_publisher',
-        namespace=LaunchConfiguration('namespace'),
-        parameters=[{'robot_description': _description(), 'use_sim_time': True}],
-        condition=IfCondition(LaunchConfiguration('state_publisher')),
-    )
-    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=make_nodes), state_publisher])
-
-
-def _description():
-    from waferbot_plant.plant import load_machine
-    from waferbot_plant.urdf import urdf
-
-    return urdf(load_machine('rigid').description)
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=make_nodes)])

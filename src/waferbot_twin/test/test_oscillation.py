@@ -27,7 +27,7 @@ def response(vibration, end_s: float = 1.2) -> AxisResponse:
     nothing = np.zeros_like(servo_time)
     return AxisResponse(
         'y_linear', 'm', encoder_time, position, servo_time, STEP * up(servo_time), nothing,
-        nothing, encoder_time, np.zeros_like(encoder_time),
+        servo_time, nothing, encoder_time, np.zeros_like(encoder_time),
     )  # fmt: skip
 
 

@@ -20,8 +20,8 @@ def response(start_s: float, position, command_height: float = 1.0) -> AxisRespo
     nothing = np.zeros_like(servo_time)
     place = np.where(encoder_time >= start_s, position(encoder_time - start_s), 0.0)
     return AxisResponse(
-        'y_linear', 'm', encoder_time, place, servo_time, commanded, nothing, nothing,
-        encoder_time, np.zeros_like(encoder_time),
+        'y_linear', 'm', encoder_time, place, servo_time, commanded, nothing, servo_time,
+        nothing, encoder_time, np.zeros_like(encoder_time),
     )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
@@ -31,8 +32,12 @@ class Plan:
     timing: Timing
     seed: int = 0
 
-    def attachments(self, engine: str) -> dict[str, str]:
-        """Return the texts that go into the recording: everything that the run was made from."""
+    def attachments(self, engine: str, without: Sequence[str] = ()) -> dict[str, str]:
+        """
+        Return the texts that go into the recording: everything that the run was made from.
+
+        `without` names the nodes that somebody else provided.
+        """
         run = {
             'engine': engine,
             'model': self.model.name,
@@ -40,6 +45,7 @@ class Plan:
             'ticks': self.ticks,
             'seed': self.seed,
             'timing': dataclasses.asdict(self.timing),
+            'without': list(without),
             'versions': versions(),
         }
         return {

@@ -74,6 +74,8 @@ def _draw_position(panel: Axes, response: AxisResponse) -> None:
 
 
 def _draw_error(panel: Axes, response: AxisResponse) -> None:
+    if len(response.servo_time) == 0:
+        panel.text(0.5, 0.5, 'not reported', transform=panel.transAxes, ha='center')
     factor, unit = scaled_unit(response.following_error, response.unit)
     panel.plot(response.servo_time, response.following_error * factor, color=ERROR_COLOUR)
     panel.set_ylabel(f'following error [{unit}]')
@@ -82,7 +84,7 @@ def _draw_error(panel: Axes, response: AxisResponse) -> None:
 
 def _draw_current(panel: Axes, response: AxisResponse) -> None:
     panel.step(
-        response.servo_time, response.current_command, where='post',
+        response.command_time, response.current_command, where='post',
         color=COMMAND_COLOUR, label='command',
     )  # fmt: skip
     panel.plot(

@@ -126,7 +126,11 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
     timing = recording.timing
     check_inputs(recording, node)
     twin = Twin.of(model, timing, load_experiment('constant'))
-    outputs = {topic: recording[topic].copy() for topic in OUTPUTS[node]}
+    outputs = {}
+
+    def put(topic: Topic, ticks: np.ndarray, values: np.ndarray) -> None:
+        outputs[topic] = _at_recorded_ticks(recording[topic], ticks, FIELDS[topic][0], values)
+
     if node == 'plant':
         voltages = np.ascontiguousarray(recording[PHASE_VOLTAGES]['voltage'])
         ticks = len(voltages)
@@ -141,10 +145,9 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
             counts,
             currents,
         )
-        outputs[ENCODERS_TOPIC] = _first(recording[ENCODERS_TOPIC], len(counts))
-        outputs[PHASE_CURRENTS] = _first(recording[PHASE_CURRENTS], ticks)
-        outputs[ENCODERS_TOPIC]['counts'] = counts[: len(outputs[ENCODERS_TOPIC])]
-        outputs[PHASE_CURRENTS]['current'] = currents[: len(outputs[PHASE_CURRENTS])]
+        every = np.arange(ticks)
+        put(ENCODERS_TOPIC, every[:: timing.encoder_divider], counts)
+        put(PHASE_CURRENTS, every, currents)
     elif node == 'pmac':
         encoders, state = recording[ENCODERS_TOPIC], recording[SERVO_STATE]
         rows = np.searchsorted(encoders['tick'], state['tick'])
@@ -152,8 +155,7 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
         commanded = np.ascontiguousarray(state['commanded_position'])
         currents = np.zeros((len(counts), 3))
         replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, currents)
-        outputs[CURRENT_COMMAND] = _first(recording[CURRENT_COMMAND], len(currents))
-        outputs[CURRENT_COMMAND]['current'] = currents[: len(outputs[CURRENT_COMMAND])]
+        put(CURRENT_COMMAND, state['tick'], currents)
     else:
         measured = recording[PHASE_CURRENTS]
         voltages = np.zeros((len(measured), 9))
@@ -165,8 +167,7 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
             np.ascontiguousarray(_held(recording[ENCODERS_TOPIC], 'counts', measured['tick'])),
             voltages,
         )
-        outputs[PHASE_VOLTAGES] = _first(recording[PHASE_VOLTAGES], len(voltages))
-        outputs[PHASE_VOLTAGES]['voltage'] = voltages[: len(outputs[PHASE_VOLTAGES])]
+        put(PHASE_VOLTAGES, measured['tick'], voltages)
     return outputs
 
 
@@ -190,8 +191,16 @@ def check_inputs(recording: Recording, node: str) -> None:
             )
 
 
-def _first(array: np.ndarray, rows: int) -> np.ndarray:
-    return array[:rows].copy()
+def _at_recorded_ticks(
+    recorded: np.ndarray, ticks: np.ndarray, name: str, values: np.ndarray
+) -> np.ndarray:
+    """Return the recorded messages of `ticks` with the replayed values; one that was lost stays away."""
+    _, rows, own = np.intersect1d(
+        ticks.astype(np.int64), recorded['tick'].astype(np.int64), return_indices=True
+    )
+    replayed = recorded[own]
+    replayed[name] = values[rows]
+    return replayed
 
 
 def _held(array: np.ndarray, name: str, ticks: np.ndarray) -> np.ndarray:

@@ -43,6 +43,7 @@ class AxisResponse:
     servo_time: np.ndarray
     commanded: np.ndarray
     following_error: np.ndarray
+    command_time: np.ndarray
     current_command: np.ndarray
     tick_time: np.ndarray
     current: np.ndarray
@@ -80,8 +81,11 @@ class AxisResponse:
         """
         Return encoder times counted from the start of the motion, and positions from its origin.
 
-        The motion starts where the command changes first; times before that are negative.
+        The motion starts where the command changes first; times before that are negative. Without
+        commanded positions (a PMAC that is not ours need not report them) nothing is shifted.
         """
+        if len(self.commanded) == 0:
+            return self.encoder_time, self.position
         moves = np.flatnonzero(np.diff(self.commanded))
         first = int(moves[0]) if len(moves) else 0
         start_s = float(self.servo_time[first + 1]) if len(moves) else float(self.servo_time[0])
@@ -116,7 +120,7 @@ def axis_responses(recording: Recording) -> list[AxisResponse]:
         (encoders['tick'], encoders['counts']),
         (currents['tick'], currents['current']),
         (servo_state['tick'], servo_state['commanded_position'], servo_state['following_error']),
-        command['current'],
+        (command['tick'], command['current']),
     )
 
 
@@ -130,7 +134,7 @@ def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
         (np.array(signals.encoder_ticks), signals.counts),
         (np.arange(signals.first, signals.first + signals.ticks), signals.line_current),
         (np.array(signals.servo_ticks), commanded, following_error),
-        signals.current_command,
+        (np.array(signals.servo_ticks), signals.current_command),
     )
 
 
@@ -141,7 +145,7 @@ def _responses(
     encoders: tuple[np.ndarray, np.ndarray],
     currents: tuple[np.ndarray, np.ndarray],
     servo_state: tuple[np.ndarray, np.ndarray, np.ndarray],
-    current_command: np.ndarray,
+    current_command: tuple[np.ndarray, np.ndarray],
 ) -> list[AxisResponse]:
     """Return the three axes from (ticks, values) of each topic and the settings that were used."""
     encoder_tick, counts = encoders
@@ -160,7 +164,8 @@ def _responses(
                 servo_tick / timing.current_loop_hz,
                 commanded[:, place] / per_unit,
                 following_error[:, place] / per_unit,
-                current_command[:, place],
+                current_command[0] / timing.current_loop_hz,
+                current_command[1][:, place],
                 currents[0] / timing.current_loop_hz,
                 _driving_current(currents, place, amplifier, encoders),
             )

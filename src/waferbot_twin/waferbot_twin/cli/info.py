@@ -13,7 +13,7 @@ from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.cli.import_log import show
 from waferbot_twin.logs import archive
-from waferbot_twin.recording.completeness import Account
+from waferbot_twin.recording.completeness import Account, reported
 from waferbot_twin.recording.reader import Recording, read_recording
 
 
@@ -83,11 +83,14 @@ def describe(recording: Recording) -> dict[str, Any]:
         state = f'closed; {missing} missing'
         if recording.summary.get('reason'):
             state += f' ({recording.summary["reason"]})'
+        if recording.summary.get('failure'):
+            state += f'; the run failed: {recording.summary["failure"]}'
     return {
         'path': str(recording.path),
         'closed': recording.closed,
         'missing': missing,
         'state': state,
+        'failure': recording.summary.get('failure', ''),
         'ticks': ticks,
         'sim_s': sim_s,
         'run': recording.run,
@@ -106,7 +109,7 @@ def describe(recording: Recording) -> dict[str, Any]:
 
 def count_missing(recording: Recording) -> int:
     """Return how many places of messages lack between tick 0 and the last recorded tick."""
-    account = Account(recording.timing)
+    account = Account(recording.timing, reported(recording.run.get('without', ())))
     for topic in CONTRACT_TOPICS:
         array = recording.topics.get(topic.name)
         if array is None:

@@ -53,15 +53,20 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def figures(response: AxisResponse, rise: str) -> dict[str, Any]:
-    """Return the figures of one axis; those of a step only if there is one."""
+    """Return the figures of one axis; those of a step only if there is one, None for what lacks."""
     metrics = response.metrics(rise)
     return {
         'unit': response.unit,
         **(asdict(metrics) if metrics else {}),
-        'rms_following_error': rms(response.following_error),
-        'peak_following_error': float(np.max(np.abs(response.following_error))),
-        'peak_current': float(np.max(np.abs(response.current))),
+        'rms_following_error': rms(response.following_error) if len(response.servo_time) else None,
+        'peak_following_error': _peak(response.following_error),
+        'peak_current': _peak(response.current),
     }
+
+
+def _peak(values: np.ndarray) -> float | None:
+    """Return the largest absolute value; None of none, as a PMAC that is not ours reports nothing."""
+    return float(np.max(np.abs(values))) if len(values) else None
 
 
 def _unit(figure: str) -> str:

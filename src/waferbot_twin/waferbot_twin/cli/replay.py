@@ -2,7 +2,8 @@
 """
 Replay one node against the recorded signals of the others, and compare its output.
 
-The output of a replay of the same model is identical to the recorded one: every difference is 0.
+The output of a replay of the same model is identical to the recorded one: every difference is 0, and
+so is the exit code. It is 1 if the output differs anywhere.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def execute(options: argparse.Namespace) -> int:
                 'differences': [difference.as_dict() for difference in differences],
             }
         )
-        return 0
+        return 0 if identical else 1
     table = Table(box=None, pad_edge=False)
     for heading in (
         'topic',
@@ -88,7 +89,7 @@ def execute(options: argparse.Namespace) -> int:
         )
     result_console.print(table)
     print('identical' if identical else 'not identical')
-    return 0
+    return 0 if identical else 1
 
 
 def recorded_plan(recording: Recording, model: Model) -> Plan:

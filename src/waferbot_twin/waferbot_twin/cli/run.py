@@ -50,6 +50,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--without', action='append', default=[], metavar='NODE',
         help='do not start this node (plant, pmac, copley, copley_<axis>): yours takes its place',
     )  # fmt: skip
+    parser.add_argument(
+        '--startup-timeout', type=float, default=60.0, metavar='S',
+        help='wall time to wait for all nodes, yours as well (default 60)',
+    )  # fmt: skip
     parser.add_argument('--domain', type=int, help='ROS domain (default: a free one)')
     parser.add_argument(
         '--any-host', action='store_true', help='let nodes on other machines take part'
@@ -61,6 +65,10 @@ def execute(options: argparse.Namespace) -> int:
     """Run, and say what came of it."""
     if options.duration is not None and not 0.0 < options.duration < 1e6:
         raise UserError(f'--duration is {options.duration:g} s; it must be above 0 and below 1e6')
+    if not 0.0 < options.startup_timeout <= 3600.0:
+        raise UserError(
+            f'--startup-timeout is {options.startup_timeout:g} s; it must be above 0 and at most 3600'
+        )
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
     if options.pmac_settings is not None:
         plan = with_pmac_settings(plan, options.pmac_settings)
@@ -130,6 +138,7 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         composed=options.engine == 'composed',
         one_copley_per_axis=options.copley_per_axis,
         without=tuple(options.without),
+        startup_timeout_s=options.startup_timeout,
         domain=options.domain,
         any_host=options.any_host,
         on_domain=lambda number: say(f'ROS_DOMAIN_ID={number}'),

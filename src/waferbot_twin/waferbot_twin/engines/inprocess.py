@@ -40,16 +40,20 @@ from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
+    ROBOT_DESCRIPTION,
     clock_message,
     joint_state_message,
+    string_message,
 )
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
+from waferbot_plant.urdf import urdf
 from waferbot_pmac import servo
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.failures import Failures
 from waferbot_twin.models import Model
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
@@ -118,6 +122,16 @@ class Signals:
                 array[:] = getattr(self, name)[: len(array)]
         part.amplifier_messages[0] = messages
         return part
+
+    def note_failures(self, failures: Failures) -> None:
+        """Look for axes that are not driven any more."""
+        failures.killed.note_all(np.array(self.servo_ticks), self.servo_state[:, -len(AXES) :])
+        for row in range(self.amplifier_messages[0]):
+            failures.note_faults(
+                int(self.amplifier_tick[row]),
+                int(self.amplifier_axes[row]),
+                self.amplifier_bits[row, 1],
+            )
 
     def _ticks_of(self, divider: int) -> range:
         start = -(-self.first // divider) * divider
@@ -246,28 +260,38 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
     """
     Run a plan to its end, recording to `out` if given.
 
-    Raises `UserError` if the folder exists (unless `force`) or the plan is impossible.
+    Raises `UserError` if the folder exists (unless `force`), the plan is impossible, or an axis is not
+    driven any more at its end (after closing the recording).
     """
     twin = Twin.of(plan.model, plan.timing, plan.experiment)
     _compile(plan)
     begun_s = time.perf_counter()
-    if out is None:
-        for _ in _chunks(twin, plan.ticks, progress):
-            pass
-        loop_s = time.perf_counter() - begun_s
-        return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
-    with RecordingWriter(out, plan.attachments('inprocess'), force, live=True) as writer:
-        recorder = SignalRecorder(writer, plan.timing)
+    failures = Failures(plan.timing)
+    with contextlib.ExitStack() as stack:
+        recorder = None
+        if out is not None:
+            writer = stack.enter_context(
+                RecordingWriter(out, plan.attachments('inprocess'), force, live=True)
+            )
+            recorder = SignalRecorder(writer, plan.timing)
+            recorder.describe(urdf(twin.machine.description))
         try:
             for signals in _chunks(twin, plan.ticks, progress):
-                recorder.write(signals)
+                signals.note_failures(failures)
+                if recorder:
+                    recorder.write(signals)
         except Runaway as error:
-            recorder.write(error.signals)
-            with contextlib.suppress(UserError):  # of what is missing behind that tick
-                recorder.close(plan.ticks)
-            raise
+            error.signals.note_failures(failures)
+            if recorder:
+                recorder.write(error.signals)
+                with contextlib.suppress(UserError):  # of what is missing behind that tick
+                    recorder.close(plan.ticks, failures.reason())
+            raise failures.with_this(error) from None
         loop_s = time.perf_counter() - begun_s
-        return Outcome(recorder.close(plan.ticks), loop_s)
+        failure = failures.reason()
+        if recorder:
+            return Outcome(recorder.close(plan.ticks, failure), loop_s)
+        return Outcome(close_complete(None, Account(plan.timing), plan.ticks, failure), loop_s)
 
 
 def _compile(plan: Plan) -> None:
@@ -306,8 +330,14 @@ class SignalRecorder:
             self._wire[topic] = WireFormat(getattr(waferbot_msgs.msg, topic.message))
         self._standard_topics = standard_topics
         if standard_topics:
-            writer.add_topic(*CLOCK)
-            writer.add_topic(f'/{JOINT_STATES[0]}', JOINT_STATES[1])
+            for name, type_name in (CLOCK, JOINT_STATES):
+                writer.add_topic(f'/{name}', type_name)
+
+    def describe(self, robot: str) -> None:
+        """Write the URDF of the machine, as the plant node says it before tick 0."""
+        name = f'/{ROBOT_DESCRIPTION[0]}'
+        self._writer.add_topic(name, ROBOT_DESCRIPTION[1], latched=True)
+        self._writer.write(name, 0, string_message(robot))
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
@@ -353,7 +383,7 @@ class SignalRecorder:
                 messages.append((stamp, order, name, records[row].tobytes()))
         for row, tick in enumerate(signals.slow_ticks if self._standard_topics else ()):
             stamp = self._timing.stamp_ns(tick)
-            messages.append((stamp, -2, CLOCK[0], clock_message(stamp)))
+            messages.append((stamp, -2, f'/{CLOCK[0]}', clock_message(stamp)))
             joints = joint_state_message(
                 stamp,
                 AXES,
@@ -365,9 +395,9 @@ class SignalRecorder:
         for stamp, _, name, data in messages:
             self._writer.write(name, stamp, data)
 
-    def close(self, ticks: int) -> str:
-        """Close the recording; return the line that says whether it is complete."""
-        return close_complete(self._writer, self._account, ticks)
+    def close(self, ticks: int, failure: str = '') -> str:
+        """Close the recording; return the line that says whether it is complete, or raise `failure`."""
+        return close_complete(self._writer, self._account, ticks, failure)
 
 
 @compiled

@@ -29,11 +29,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
 from waferbot_lockstep.contract import (
-    AMPLIFIER_STATE,
     AXES,
     RECORDER_WINDOW,
-    SERVO_STATE,
-    Topic,
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
@@ -47,12 +44,15 @@ from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Outcome, Plan
-from waferbot_twin.recording.completeness import close_complete
+from waferbot_twin.recording.completeness import close_complete, reported
 from waferbot_twin.recording.recorder import Recorder
 from waferbot_twin.recording.writer import RecordingWriter
 
 STARTUP_TIMEOUT_S = 60.0
-"""Wall time for nodes to start and find each other; compiling the model is part of it."""
+"""
+Wall time for nodes to start and find each other, if the user does not say; compiling the model is part
+of it, and so is the time that it takes to start one's own node by hand.
+"""
 
 END_TIMEOUT_S = 5.0
 """Wall time for nodes to end by themselves after the run, or after one of them has gone."""
@@ -73,6 +73,7 @@ class RosOptions:
     one_copley_per_axis: bool = False
     without: Sequence[str] = ()  # nodes that somebody else provides
     start_order: Sequence[str] = ()  # names of the processes, in the order to start them
+    startup_timeout_s: float = STARTUP_TIMEOUT_S
     domain: int | None = None
     any_host: bool = False
     overrides: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -90,8 +91,8 @@ def run(
     """
     Run a plan over ROS, recording to `out` if given.
 
-    Raises `UserError` with the reason of the node that stopped, if one did; the recording up to
-    there is closed and readable.
+    Raises `UserError` with the reason of the node that stopped, if one did, and with that of an axis
+    that is not driven any more; the recording up to there is closed and readable.
     """
     options = options or RosOptions()
     _check_names(options)
@@ -109,12 +110,12 @@ def run(
         writer = None
         if out is not None:
             writer = stack.enter_context(
-                RecordingWriter(out, plan.attachments(engine), force, live=True)
+                RecordingWriter(out, plan.attachments(engine, options.without), force, live=True)
             )
         recorder = Recorder(
             writer,
             plan.timing,
-            _reported(options.without),
+            reported(options.without),
             clock_needed='plant' not in options.without,
         )
         stack.callback(recorder.destroy_node)
@@ -122,10 +123,14 @@ def run(
             ComposedNodes(plan, options) if options.composed else SeparateProcesses(plan, options)
         )
         stack.callback(members.end)
-        loop_s = _Conductor(plan, recorder, members, interrupt, progress).run()
-        if writer is None:
-            return Outcome(f'ran {plan.ticks} ticks, not recorded (no --out)', loop_s)
-        return Outcome(close_complete(writer, recorder.account, plan.ticks), loop_s)
+        try:
+            loop_s = _Conductor(
+                plan, recorder, members, interrupt, progress, options.startup_timeout_s
+            ).run()
+        except UserError as error:
+            raise recorder.failures.with_this(error) from None
+        failure = recorder.failures.reason()
+        return Outcome(close_complete(writer, recorder.account, plan.ticks, failure), loop_s)
 
 
 class _Conductor:
@@ -138,8 +143,10 @@ class _Conductor:
         members: Members,
         interrupt: Interrupt,
         progress: Progress,
+        startup_timeout_s: float,
     ) -> None:
         self._plan = plan
+        self._startup_timeout_s = startup_timeout_s
         self._recorder = recorder
         self._members = members
         self._interrupt = interrupt
@@ -152,7 +159,7 @@ class _Conductor:
         self._executor.add_node(self._recorder)
         self._members.begin(self._executor)
         try:
-            self._spin_until(lambda: self._recorder.begun, STARTUP_TIMEOUT_S, 'start')
+            self._spin_until(lambda: self._recorder.begun, self._startup_timeout_s, 'start')
             self._let_go()
             begun_s = time.perf_counter()
             self._spin_until(self._everything_recorded, None, 'run')
@@ -177,7 +184,7 @@ class _Conductor:
         if 'plant' not in self._members.names:
             return  # somebody else's plant goes when it likes
         if not self._release.service_is_ready():
-            self._spin_until(self._release.service_is_ready, STARTUP_TIMEOUT_S, 'start')
+            self._spin_until(self._release.service_is_ready, self._startup_timeout_s, 'start')
         future = self._release.call_async(SetBool.Request(data=False))
         self._spin_until(future.done, END_TIMEOUT_S, 'start')
 
@@ -215,13 +222,24 @@ class _Conductor:
                     and (self._recorder.stop_reason or now_s > all_ended_s + LAST_WORDS_S)
                 ):
                     if failure or self._recorder.stop_reason:
-                        raise UserError(self._recorder.stop_reason or failure)
+                        raise UserError(self._reason(failure))
                     return  # the completeness check says what is missing
             if deadline_s and now_s > deadline_s:
-                raise UserError(
-                    self._recorder.stop_reason
-                    or f'the twin did not {phase} within {timeout_s:g} s: {self._members.state()}'
-                )
+                what = f'the twin did not {phase} within {timeout_s:g} s: {self._state()}'
+                raise UserError(self._reason(what))
+
+    def _reason(self, otherwise: str) -> str:
+        """Return why the twin ends: who was killed, and what the others say."""
+        reasons = [self._members.killed(), self._recorder.stop_reason]
+        return '; '.join(reason for reason in reasons if reason) or otherwise
+
+    def _state(self) -> str:
+        """Return who has not been heard yet, and where each node stands."""
+        unheard = [
+            f'{publisher} has not published {", ".join(topics)}'
+            for publisher, topics in self._recorder.account.unheard().items()
+        ]
+        return '; '.join([*unheard, self._members.state() or 'no node of this run'])
 
 
 class Members:
@@ -246,6 +264,10 @@ class Members:
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
         raise NotImplementedError
+
+    def killed(self) -> str:
+        """Return which nodes were killed from outside, or ''."""
+        return ''
 
     def state(self) -> str:
         """Return where each node stands, for messages."""
@@ -302,13 +324,17 @@ class SeparateProcesses(Members):
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
         for name, process in self._processes.items():
-            code = process.poll()
-            if code:
-                how = (
-                    f'was killed by signal {-code}' if code < 0 else f'ended with exit code {code}'
-                )
-                return f'{name} {how}'
+            if process.poll():
+                return self.killed() or f'{name} ended with exit code {process.poll()}'
         return ''
+
+    def killed(self) -> str:
+        """Return which nodes were killed from outside, or ''."""
+        return ', '.join(
+            f'{name} was killed by signal {-code}'
+            for name, process in self._processes.items()
+            if (code := process.poll()) is not None and code < 0
+        )
 
     def state(self) -> str:
         """Return where each node stands, for messages."""
@@ -390,7 +416,7 @@ def _layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, tuple[str, d
         'encoder_divider': plan.timing.encoder_divider,
         'servo_divider': plan.timing.servo_divider,
         'end_tick': plan.ticks,
-        'startup_timeout_s': STARTUP_TIMEOUT_S,
+        'startup_timeout_s': options.startup_timeout_s,
     }
     extra: dict[str, dict[str, Any]] = {
         'plant': {'start_paused': True, 'recorder_window': RECORDER_WINDOW},
@@ -423,16 +449,6 @@ def _check_names(options: RosOptions) -> None:
             raise UserError(
                 f'--without {name}: the twin has no such node{hint}; it has {", ".join(known)}'
             )
-
-
-def _reported(without: Sequence[str]) -> dict[Topic, int]:
-    """Return the places of the report topics that this run's own nodes speak for."""
-    servo = 0 if 'pmac' in without else SERVO_STATE.all_places
-    amplifiers = 0 if 'copley' in without else AMPLIFIER_STATE.all_places
-    for axis, name in enumerate(AXES):
-        if f'copley_{name}' in without:
-            amplifiers &= ~(1 << axis)
-    return {SERVO_STATE: servo, AMPLIFIER_STATE: amplifiers}
 
 
 def _overrides(parameters: Mapping[str, Any], prefix: str = '') -> Iterator[RosParameter]:

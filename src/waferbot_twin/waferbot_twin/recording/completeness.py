@@ -8,12 +8,33 @@ have been given at every one of its ticks.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS, SLOW_DIVIDER, Topic
+from waferbot_lockstep.contract import (
+    AMPLIFIER_STATE,
+    AXES,
+    CONTRACT_TOPICS,
+    SERVO_STATE,
+    SLOW_DIVIDER,
+    Topic,
+)
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.recording.writer import RecordingWriter
+
+
+def reported(without: Sequence[str]) -> dict[Topic, int]:
+    """
+    Return the places of the report topics that a run's own nodes speak for.
+
+    `without` names the nodes that somebody else provides, who need not report their inner state.
+    """
+    servo = 0 if 'pmac' in without else SERVO_STATE.all_places
+    amplifiers = 0 if 'copley' in without else AMPLIFIER_STATE.all_places
+    for axis, name in enumerate(AXES):
+        if f'copley_{name}' in without:
+            amplifiers &= ~(1 << axis)
+    return {SERVO_STATE: servo, AMPLIFIER_STATE: amplifiers}
 
 
 class TopicAccount:
@@ -94,6 +115,17 @@ class Account:
             for topic, own in self.topics.items()
         }
 
+    def unheard(self) -> dict[str, list[str]]:
+        """Return, by publisher, the topics of which a needed place has not been given yet."""
+        found: dict[str, list[str]] = {}
+        for topic, own in self.topics.items():
+            lacking = [topic.places[place] for place in own.needed_places() if own.last[place] < 0]
+            if lacking:
+                found.setdefault(topic.publisher, []).append(
+                    f'{topic.name} ({", ".join(lacking)})'
+                )
+        return found
+
     def expected(self, ticks: int) -> int:
         """Return how many places of messages a complete run of `ticks` ticks has."""
         return sum(
@@ -111,12 +143,19 @@ class Account:
         return min([self.reached(), *gaps])
 
 
-def close_complete(writer: RecordingWriter, account: Account, ticks: int) -> str:
+def close_complete(
+    writer: RecordingWriter | None, account: Account, ticks: int, failure: str = ''
+) -> str:
     """
-    Close a recording of `ticks` ticks; return `0 missing of N`.
+    Close a recording of `ticks` ticks, if there is one; return `0 missing of N`.
 
-    Raises `UserError`, after closing the file, if a message is missing.
+    Raises `UserError`, after closing the file, if a message is missing, or with `failure`, which makes
+    the run no result though all of it is there.
     """
+    if writer is None:
+        if failure:
+            raise UserError(failure)
+        return f'ran {ticks} ticks, not recorded (no --out)'
     missing = {name: count for name, count in account.missing(ticks).items() if count}
     expected = account.expected(ticks)
     line = f'{sum(missing.values())} missing of {expected}'
@@ -126,8 +165,11 @@ def close_complete(writer: RecordingWriter, account: Account, ticks: int) -> str
             'ticks': str(ticks),
             'missing': str(sum(missing.values())),
             'expected': str(expected),
+            **({'failure': failure} if failure else {}),
         }
     )
+    if failure:
+        raise UserError(f'{failure}; recorded to {writer.path}, {line}')
     if missing:
         topics = ', '.join(f'{name}: {count}' for name, count in missing.items())
         raise UserError(

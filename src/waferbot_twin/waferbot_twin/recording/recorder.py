@@ -16,20 +16,30 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import (
+    AMPLIFIER_STATE,
+    AXES,
     CONTRACT_TOPICS,
     RECORDED_TOPIC,
     RECORDER_WINDOW,
+    SERVO_STATE,
     STOP_TOPIC,
     Topic,
 )
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, lockstep_qos
-from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES, stamp_of
+from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, latched_qos, lockstep_qos
+from waferbot_lockstep.standard_messages import (
+    CLOCK,
+    JOINT_STATES,
+    ROBOT_DESCRIPTION,
+    stamp_of,
+)
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
+from waferbot_twin.failures import Failures
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.writer import RecordingWriter
 
@@ -48,7 +58,7 @@ class Recorder(Node):
     Records a twin.
 
     `account` knows what has been recorded; `tick` is the newest tick seen; `stop_reason` is what a
-    node that left the lock-step said.
+    node that left the lock-step said; `failures` tells which axes are not driven any more.
     """
 
     def __init__(
@@ -71,6 +81,7 @@ class Recorder(Node):
         self.tick = -1
         self.stop_reason = ''
         self.failure = ''
+        self.failures = Failures(timing)
         self._writer = writer
         self._timing = timing
         self._recorded_publisher = self.create_publisher(
@@ -92,6 +103,8 @@ class Recorder(Node):
             )
         for (name, type_name), message_type in ((CLOCK, Clock), (JOINT_STATES, JointState)):
             self._record(name, type_name, message_type, self._standard_callback(name))
+        self._described = False
+        self._record(*ROBOT_DESCRIPTION, String, self._on_description, latched=True)
         self.create_subscription(
             waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
         )
@@ -99,15 +112,28 @@ class Recorder(Node):
     @property
     def begun(self) -> bool:
         """Whether all that is needed has been heard for every axis, so that nothing will be missed."""
-        standard_begun = not self._clock_needed or min(self._standard_stamps.values()) >= 0
+        standard_begun = not self._clock_needed or (
+            self._described and min(self._standard_stamps.values()) >= 0
+        )
         return self.account.begun() and standard_begun
 
     def _record(
-        self, name: str, type_name: str, message_type: Any, callback: Callable[[bytes], None]
+        self,
+        name: str,
+        type_name: str,
+        message_type: Any,
+        callback: Callable[[bytes], None],
+        latched: bool = False,
     ) -> None:
         if self._writer is not None:
-            self._writer.add_topic(self.resolve_topic_name(name), type_name)
-        self.create_subscription(message_type, name, callback, lockstep_qos(), raw=True)
+            self._writer.add_topic(self.resolve_topic_name(name), type_name, latched)
+        qos = latched_qos() if latched else lockstep_qos()
+        self.create_subscription(message_type, name, callback, qos, raw=True)
+
+    def _on_description(self, data: bytes) -> None:
+        if self._writer is not None and not self._described:
+            self._writer.write(self.resolve_topic_name(ROBOT_DESCRIPTION[0]), 0, data)
+        self._described = True
 
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(topic.name)
@@ -115,7 +141,7 @@ class Recorder(Node):
 
         def on_message(data: bytes) -> None:
             try:
-                tick, stamp_ns, valid, _ = wire.decode(data)
+                tick, stamp_ns, valid, values = wire.decode(data)
             except UserError as error:
                 self.failure = f'topic {topic.name}: {error}'
                 return
@@ -130,6 +156,10 @@ class Recorder(Node):
                     self.tick = tick
                     if tick % ANNOUNCE_TICKS == 0:
                         self._announce()
+                if topic is SERVO_STATE:
+                    self.failures.killed.note(tick, values[-len(AXES) :])
+                elif topic is AMPLIFIER_STATE:
+                    self.failures.note_faults(tick, valid, values[-len(AXES) :])
                 if writer is not None:
                     writer.write(name, stamp_ns, wire.normalised(data))
 

@@ -75,9 +75,9 @@ class RecordingWriter:
             self._begun_bytes = self._whole_bytes = self._file.tell()
             self._write_metadata()
 
-    def add_topic(self, name: str, type_name: str) -> None:
+    def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
-        qos = [_qos_profile(HISTORY_DEPTH)]
+        qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
         definition = full_text(type_name)
         digest = type_hash(type_name)
         schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
@@ -216,13 +216,13 @@ def as_json(value: Any) -> str:
     return json.dumps(value, indent=2, sort_keys=True) + '\n'
 
 
-def _qos_profile(depth: int) -> dict[str, Any]:
+def _qos_profile(depth: int, durability: str = 'volatile') -> dict[str, Any]:
     """Return the contract's quality of service in rosbag2's form: reliable, volatile, keep last."""
     return {
         'history': 'keep_last',
         'depth': depth,
         'reliability': 'reliable',
-        'durability': 'volatile',
+        'durability': durability,
         'deadline': dict(_FOREVER),
         'lifespan': dict(_FOREVER),
         'liveliness': 'automatic',
