@@ -141,8 +141,8 @@ def diagnose(
     nominal = sized_by(records, nominal)
     problem = Problem(nominal, records)
     effects = [*offered_effects(problem, without), *tables(nominal, records)]
-    pool = CandidatePool(problem, effects, settings, progress, workers)
-    posterior = infer(pool)
+    pool = CandidatePool(problem.with_coloured_forces(), effects, settings, progress, workers)
+    posterior = infer(pool).fitted_to(problem)
     named = tuple(cause for cause in posterior.found.causes if not is_discrepancy(cause))
     extension = extension_that_wins(nominal, named, estimation, validation)
     notes += [

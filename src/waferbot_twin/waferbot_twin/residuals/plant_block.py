@@ -51,6 +51,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ from waferbot_plant.plant import Machine
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.prediction_error import Noise
-from waferbot_twin.noise_model.variance_components import Shapes
+from waferbot_twin.noise_model.variance_components import COLOURED_HZ, Shapes
 from waferbot_twin.residuals.record import Array, Record, common_step
 
 OBSERVER_HZ = 80.0
@@ -171,6 +172,17 @@ class PlantBlock:
             if axes[first] == axes[second] and same_times:
                 found[first], found[second] = second - first, first - second
         return found
+
+    def with_coloured_forces(self) -> PlantBlock:
+        """Return the block with noise whose forces may have a colour: to compare models."""
+        other = copy.copy(self)
+        other.noises = [
+            noise
+            if noise.shapes is None
+            else replace(noise, shapes=replace(noise.shapes, corners_hz=COLOURED_HZ))
+            for noise in self.noises
+        ]
+        return other
 
     def in_encoder_ticks(self) -> PlantBlock:
         """

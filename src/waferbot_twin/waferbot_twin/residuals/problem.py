@@ -211,6 +211,13 @@ class Problem:
         other.whitens = False
         return other
 
+    def with_coloured_forces(self) -> Problem:
+        """Return the same problem with noise whose forces may have a colour: to compare models."""
+        other = copy.copy(self)
+        coloured: list[BlockOfLog] = [part.with_coloured_forces() for part in self.plants]
+        other.blocks = {**self.blocks, PLANT: coloured}
+        return other
+
     def quick(self) -> Problem:
         """Return the same problem with longer steps of the plant: for what a cause changes in it."""
         other = copy.copy(self)

@@ -18,6 +18,9 @@ from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
 from waferbot_twin.residuals.problem import Cause, Problem
 
+ENOUGH = 0.3
+"""Gain in ln L below which a refit ends: what is taken is fitted on with the causes after it."""
+
 TRIALS = 2
 """How many trials of one effect (orders, frequencies, rungs of other shapes) are refitted."""
 
@@ -26,24 +29,26 @@ def within_reach(
     problem: Problem, screened: Sequence[Screened], settings: Settings
 ) -> list[Screened]:
     """
-    Return what may be the best: the best screened, and what the linear problem cannot tell from it.
+    Return what may be the best: by the linear problem, and by what that says in noise of known power.
 
-    A linear problem says less of the evidence the larger that is; so within a share of the best. With
-    each name come those of its trials that promise as much, or that have another shape.
+    As many names as the settings allow, half of them by each; with each name those of its trials that
+    promise most and have another shape.
     """
-    if not screened:
-        return []
     chosen: dict[str, list[Screened]] = {}
-    best = screened[0].likelihood
-    least = min(settings.linear_accuracy * best, best - 10.0)
-    for item in screened:
-        name = item.cause.name
-        if item.likelihood < least and len(chosen) > 1:
-            break
-        if name not in chosen and len(chosen) == settings.most_refits:
+    by_likelihood = sorted(screened, key=lambda item: -item.likelihood)
+    by_score = sorted(screened, key=lambda item: -item.score)
+    for ranked, most in (
+        (by_likelihood, settings.most_refits // 2),
+        (by_score, settings.most_refits),
+    ):
+        for item in ranked:
+            if len(chosen) < most:
+                chosen.setdefault(item.cause.name, [])
+    for item in by_likelihood:
+        trials = chosen.get(item.cause.name)
+        if trials is None or len(trials) == TRIALS:
             continue
-        trials = chosen.setdefault(name, [])
-        if not trials or (len(trials) < TRIALS and _differs(problem, item, trials)):
+        if not trials or _differs(problem, item, trials):
             trials.append(item)
     return [item for trials in chosen.values() for item in trials]
 
@@ -86,7 +91,7 @@ def refit(
 def _refit(problem: Problem, base: Hypothesis, item: Screened) -> Hypothesis | None:
     try:
         start = _start(problem, base, item)
-        return downhill(problem, start, fit_causes(problem, (*base.causes, start)))
+        return downhill(problem, start, fit_causes(problem, (*base.causes, start), enough=ENOUGH))
     except UserError:
         return None
 

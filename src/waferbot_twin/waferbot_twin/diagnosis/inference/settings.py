@@ -14,20 +14,15 @@ class Settings:
     What decides which causes are named.
 
     expected_causes    how many causes a machine has, before its logs are seen: a candidate has the
-    prior
-                       probability expected_causes / number of candidates
+                       prior probability expected_causes / number of candidates
     prior_scales       standard deviations of an effect's size, in its typical size; each equally
                        probable (a normal scale mixture: heavy tails, much mass near zero)
     named_from         inclusion probability from which on a cause is named
     credible_level     probability that a credible set holds at least
     most_causes        how many causes are looked for at most
     most_refits        how many candidates are refitted through the simulation in each step
-    linear_accuracy    share of the evidence of the best candidate, as screened linearly, from
-    which on
-                       another is refitted
-    endogeneity_level  level of Hausman's test: below this probability the signature in the logs
-    and the
-                       one that the command causes disagree, and the latter counts
+    endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
+                       the one that the command causes disagree, and the latter counts
 
     Raises `UserError` for a value out of its range.
     """
@@ -38,12 +33,11 @@ class Settings:
     credible_level: float = 0.95
     most_causes: int = 12
     most_refits: int = 8
-    linear_accuracy: float = 0.7
     endogeneity_level: float = 1e-3
 
     def __post_init__(self) -> None:
         """Check every value."""
-        shares = 'named_from', 'credible_level', 'linear_accuracy', 'endogeneity_level'
+        shares = 'named_from', 'credible_level', 'endogeneity_level'
         for name in shares:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise UserError(f'{name} is {getattr(self, name)}; it must be between 0 and 1')

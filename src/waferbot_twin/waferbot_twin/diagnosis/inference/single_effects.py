@@ -139,6 +139,11 @@ class Posterior:
                 shares.append((squares[1] - squares[2]) / max(squares[:2]))
         return min(max(shares), 1.0)
 
+    def fitted_to(self, problem: Problem) -> Posterior:
+        """Return the posterior with the values of its causes fitted to another problem's logs."""
+        found = _fitted(problem, self.found.causes) or self.found
+        return replace(self, nothing=evaluate(problem), found=found)
+
     def without(self, problem: Problem, names: Sequence[str]) -> Posterior:
         """Return the posterior without some causes, the others fitted anew."""
         if not names:
