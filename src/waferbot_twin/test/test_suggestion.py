@@ -160,19 +160,20 @@ def test_rivals_by_name_and_from_a_report(rigid, tmp_path):
         'viscous_friction:x_rotate',
     ]
     assert group.rivals[0].values == {'friction': 2.0}
+    coulomb = {'effect': 'coulomb_friction', 'axis': 'x_rotate'}
+    viscous = {'effect': 'viscous_friction', 'axis': 'x_rotate', 'values': {'damping': 0.2}}
     row = {
-        'effect': 'coulomb_friction',
-        'axis': 'x_rotate',
+        **coulomb,
         'parameters': {'friction': {'value': 1.5}},
-        'rivals': [{'effect': 'viscous_friction', 'axis': 'x_rotate', 'values': {'damping': 0.2}}],
+        'credible_set': [{**coulomb, 'values': {'friction': 1.5}}, viscous],
     }
     known = {
         'effect': 'wrong_bias',
         'axis': 'y_linear',
         'parameters': {'difference': {'value': 20.0}},
-        'rivals': [],
+        'credible_set': [],
     }
-    (tmp_path / 'report.json').write_text(json.dumps({'causes': [known, row]}), 'utf-8')
+    (tmp_path / 'report.json').write_text(json.dumps({'schema': 2, 'causes': [known, row]}), 'utf-8')
     group = of_report(read_report(tmp_path), rigid, None)
     assert [item.values for item in group.rivals] == [{'friction': 1.5}, {'damping': 0.2}]
     assert [item.name for item in group.others] == ['wrong_bias:y_linear']
