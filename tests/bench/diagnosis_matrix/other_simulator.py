@@ -23,10 +23,11 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from diagnosis_matrix.scoring import others_of
 from independent_machine.answers import SKEW, Answers, answers
 from independent_machine.cases import Case, draw
 from independent_machine.files import ESTIMATION, MACHINE, MAP, VALIDATION, write_case
+
+from diagnosis_matrix.scoring import others_of
 
 MODEL = 'of its own'
 """What stands in place of a model's name in a line of results: every case has another machine."""
