@@ -82,7 +82,9 @@ def test_variances_are_those_of_noise_whose_spectrum_is_known(parts):
         )
     # Forces with other corners look alike above these: together they have the variance.
     forces, their_error = found[:, 2:].sum(axis=1).mean(), found[:, 2:].sum(axis=1).std(ddof=1)
-    assert forces == pytest.approx(true[2:].sum(), abs=4.0 * their_error / np.sqrt(20) + 0.05 * true.sum())
+    assert forces == pytest.approx(
+        true[2:].sum(), abs=4.0 * their_error / np.sqrt(20) + 0.05 * true.sum()
+    )
 
 
 def test_the_spectrum_that_is_found_is_that_of_the_noise():
