@@ -102,7 +102,7 @@ def hide_and_seek(random, tmp_path):
     hidden = json.loads(truth.read_text('utf-8'))['effects'][0]
     assert report['verdict'] in ('explained', 'partly'), report['sentence']
     found = report['causes'][0]
-    group = [f'{found["effect"]}:{found["axis"]}', *found['cannot_tell_from']]
+    group = [f'{item["effect"]}:{item["axis"]}' for item in found['credible_set']]
     assert f'{hidden["effect"]}:{hidden["axis"]}' in group, report['sentence']
     assert len(group) <= 3
     if found['effect'] != hidden['effect']:

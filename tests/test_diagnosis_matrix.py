@@ -203,13 +203,15 @@ def test_what_cannot_have_the_size_is_said_to_be_out_of_reach():
 # Scoring
 
 
-def cause(name, group=(), confidence=0.99):
-    effect, axis = name.split(':')
+def cause(name, group=(), probability=0.99):
+    def member(name):
+        effect, axis = name.split(':')
+        return {'effect': effect, 'axis': axis}
+
     return {
-        'effect': effect,
-        'axis': axis,
-        'cannot_tell_from': list(group),
-        'confidence': confidence,
+        **member(name),
+        'credible_set': [member(one) for one in (name, *group)],
+        'probability': probability,
     }
 
 
@@ -218,7 +220,7 @@ def report(*causes, unexplained=(), withdrawn=()):
     return {
         'verdict': 'unexplained' if unexplained and not causes else verdict,
         'causes': list(causes),
-        'unexplained': {'axes': list(unexplained)} if unexplained else None,
+        'unexplained': [{'axis': axis} for axis in unexplained],
         'withdrawn': list(withdrawn),
     }
 
@@ -287,7 +289,7 @@ def test_nothing_and_unknown():
 
 
 def test_wrong_and_sure():
-    sure, unsure = (report(cause('wafer:y_rotate', confidence=c)) for c in (0.95, 0.6))
+    sure, unsure = (report(cause('wafer:y_rotate', probability=c)) for c in (0.95, 0.6))
     assert scoring.wrong_and_sure(sure, 'wrong')
     assert not scoring.wrong_and_sure(unsure, 'wrong')
     assert not scoring.wrong_and_sure(sure, 'right')
@@ -343,7 +345,7 @@ def test_what_a_twin_explains_is_diagnosed_again_without_it():
         return {
             'outcome': scoring.outcome_of_unknown(found, truth, True),
             'reported': [
-                {'name': scoring.name_of(c), 'group': c['cannot_tell_from']}
+                {'name': scoring.name_of(c), 'group': scoring.others_of(c)}
                 for c in found['causes']
             ],
             'unexplained': found['unexplained'],
@@ -357,7 +359,7 @@ def test_what_a_twin_explains_is_diagnosed_again_without_it():
     assert found['outcome'] == 'right'
 
     asked.clear()
-    wrong = {'outcome': 'wrong', 'reported': [], 'unexplained': None}
+    wrong = {'outcome': 'wrong', 'reported': [], 'unexplained': []}
     assert trial._without_twins(wrong, own, judged) == {'taken_out': [], **wrong}
     assert not asked
 
@@ -518,8 +520,10 @@ def other_report(*causes, verdict='explained', notes=()):
             {
                 'effect': effect,
                 'axis': 'x_rotate',
-                'confidence': 0.8,
-                'cannot_tell_from': [f'{name}:x_rotate' for name in alike],
+                'probability': 0.8,
+                'credible_set': [
+                    {'effect': name, 'axis': 'x_rotate'} for name in (effect, *alike)
+                ],
                 'parameters': {
                     name: {'value': value, 'low95': low, 'high95': high}
                     for name, (value, low, high) in parameters.items()

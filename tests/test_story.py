@@ -16,13 +16,14 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.demo import FINDING, JUDGING, logs
-from waferbot_twin.diagnosis.diagnose import diagnose, load_records
+from waferbot_twin.diagnosis.diagnose import diagnose
 from waferbot_twin.effects import library
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.drive_block import driven_currents
 from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.load import load_records
 
 pytestmark = pytest.mark.slow
 

@@ -456,15 +456,19 @@ def _feed_measured(content: bytes, folder: Path) -> None:
 # ---- reports and the command line ----------------------------------------------------------------
 
 REPORT = {
+    'schema': 2,
     'model': 'rigid',
     'causes': [
         {
             'effect': 'coulomb_friction', 'axis': 'x_rotate',
             'parameters': {'friction': {'value': 2.5, 'unit': 'N m', 'low95': 2.0, 'high95': 3.0}},
-            'rivals': [{'effect': 'viscous_friction', 'axis': 'x_rotate', 'values': {'damping': 0.3}}],
+            'credible_set': [
+                {'effect': 'coulomb_friction', 'axis': 'x_rotate', 'values': {'friction': 2.5}},
+                {'effect': 'viscous_friction', 'axis': 'x_rotate', 'values': {'damping': 0.3}},
+            ],
         },
         {'effect': 'viscous_friction', 'axis': 'y_linear', 'parameters': {'damping': {'value': 9.0}},
-         'rivals': []},
+         'credible_set': []},
     ],
 }  # fmt: skip
 

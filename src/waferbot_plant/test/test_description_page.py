@@ -16,7 +16,8 @@ from waferbot_plant import motors
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_names, description_source
 
-PAGE = Path(__file__).resolve().parents[3] / 'docs' / 'machine_description.md'
+DOCS = Path(__file__).resolve().parents[3] / 'docs'
+PAGE = DOCS / 'machine_description.md'
 
 pytestmark = pytest.mark.skipif(not PAGE.exists(), reason='tests are not run in the repository')
 
@@ -36,9 +37,15 @@ def keys_of(node):
 def test_every_key_is_on_the_page() -> None:
     folder = Path(waferbot_plant.__file__).parent
     grammar = json.loads((folder / 'description.schema.json').read_text('utf-8'))
+    grammar_of_controllers = grammar['$defs'].pop('controllers')
     words = set(re.findall(r'[a-z][a-z0-9_]*', PAGE.read_text('utf-8')))
     words.add('back_emf_lead_to_lead_v_s_rad')
     assert set(keys_of(grammar)) - words == set()
+    assert 'controllers' in words
+    words = set(re.findall(r'[a-z][a-z0-9_]*', (DOCS / 'controllers.md').read_text('utf-8')))
+    # 'On an axis that turns, m in a key is rad.'
+    turning = {re.sub(r'_m(?=_|$)', '_rad', word) for word in words}
+    assert set(keys_of(grammar_of_controllers)) - words - turning == set()
 
 
 def test_the_example_on_the_page_loads() -> None:

@@ -170,10 +170,25 @@ def test_a_damaged_metadata_yaml_is_named(tmp_path, text):
     ('content', 'hint'),
     [
         ([], "is not of type 'object'"),
-        ({}, "'causes' is a required property"),
-        ({'causes': [{'effect': 'x'}]}, r"causes\[0\]: 'axis' is a required property"),
+        ({'causes': []}, "'schema' is a required property"),
+        ({'schema': 1, 'causes': []}, 'schema: 2 was expected'),
+        ({'schema': 2}, "'causes' is a required property"),
         (
-            {'causes': [{'effect': 'x', 'axis': 'y', 'parameters': {'a': {'value': None}}}]},
+            {'schema': 2, 'causes': [{'effect': 'x'}]},
+            r"causes\[0\]: 'axis' is a required property",
+        ),
+        (
+            {
+                'schema': 2,
+                'causes': [
+                    {
+                        'effect': 'x',
+                        'axis': 'y',
+                        'parameters': {'a': {'value': None}},
+                        'credible_set': [],
+                    }
+                ],
+            },
             r'causes\[0\]\.parameters\.a\.value: None is not of type',
         ),
     ],

@@ -4,7 +4,7 @@ Cases of a second simulator, through the commands as a user: import, diagnose, r
 
 Machines, logs and truth are those of `tests/independent_machine`, which shares no code with waferbot. A
 hidden effect is *named* if a reported cause has a name that is right for it, *in the set* if one of
-those is among what a reported cause cannot be told from, *noted* if it is a skew of position and drive
+those is in the credible set of a reported cause, *noted* if it is a skew of position and drive
 that the import of the log took out; else *missed*. A reported cause is *false* if neither its name nor
 one of its set is right for anything that is hidden, nor related to it.
 """
@@ -27,6 +27,8 @@ from independent_machine.answers import SKEW, Answers, answers
 from independent_machine.cases import Case, draw
 from independent_machine.files import ESTIMATION, MACHINE, MAP, VALIDATION, write_case
 
+from diagnosis_matrix.scoring import others_of
+
 MODEL = 'of its own'
 """What stands in place of a model's name in a line of results: every case has another machine."""
 
@@ -39,7 +41,7 @@ SCALES = {'mass', 'motor_constant'}
 @dataclass(frozen=True)
 class Named:
     """
-    A cause as a report has it: name, probability, what it cannot be told from, parameters.
+    A cause as a report has it: name, probability, the rest of its credible set, parameters.
 
     A parameter is (value, low, high), the ends of its 95 % interval None where there is none.
     """
@@ -69,8 +71,8 @@ def read_findings(report: Mapping[str, Any]) -> Findings:
     causes = [
         Named(
             cause['effect'],
-            float(cause['confidence']),
-            tuple(name.partition(':')[0] for name in cause['cannot_tell_from']),
+            float(cause['probability']),
+            tuple(name.partition(':')[0] for name in others_of(cause)),
             {
                 name: (item['value'], item['low95'], item['high95'])
                 for name, item in cause['parameters'].items()
@@ -126,7 +128,7 @@ def score(expected: Mapping[str, Answers], findings: Findings) -> dict[str, Any]
     return {
         'outcome': _outcome(became, false, findings.verdict),
         'became': became,
-        'false': [{'name': cause.name, 'confidence': cause.probability} for cause in false],
+        'false': [{'name': cause.name, 'probability': cause.probability} for cause in false],
         'names': [
             {
                 'name': cause.name,
@@ -211,7 +213,7 @@ def run(seed: int, number: int) -> dict[str, Any]:
         'reported': [
             {
                 'name': cause.name,
-                'confidence': cause.probability,
+                'probability': cause.probability,
                 'group': list(cause.alike),
                 'values': {name: value[0] for name, value in cause.parameters.items()},
             }

@@ -4,7 +4,7 @@ What a diagnosis got right: its report against the truth.
 
 A report is `report.json` as a reader of the file has it. `inseparable` tells whether the logs cannot
 tell the reported causes from the true ones, as found by simulating both; only then does a cause
-that is in the reported cannot-tell group, of at most three, count as named.
+that is in a reported credible set, of at most three, count as named.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TWIN = 'twin'
 """Outcome of an unknown effect that another one explains, which the logs cannot tell from it."""
 
 SURE = 0.9
-"""Confidence above which a report calls a cause very likely."""
+"""Probability above which a report calls a cause very likely."""
 
 Report = Mapping[str, Any]
 
@@ -31,11 +31,16 @@ def name_of(cause: Mapping[str, Any]) -> str:
     return f'{cause["effect"]}:{cause["axis"]}'
 
 
+def others_of(cause: Mapping[str, Any]) -> list[str]:
+    """Return the other members of a reported cause's credible set, the most probable first."""
+    return [one for one in map(name_of, cause['credible_set']) if one != name_of(cause)]
+
+
 def names(cause: Mapping[str, Any], truth: str, inseparable: bool) -> bool:
     """Return whether a reported cause names the truth, itself or in a group that is allowed."""
     if name_of(cause) == truth:
         return True
-    group = [name_of(cause), *cause['cannot_tell_from']]
+    group = [name_of(cause), *others_of(cause)]
     return inseparable and truth in group and len(group) <= LARGEST_GROUP
 
 
@@ -55,7 +60,7 @@ def outcome_of_single(report: Report, truth: str, inseparable: bool) -> str:
     named.
     """
     if not report['causes']:
-        if report.get('withdrawn'):
+        if report['withdrawn']:
             return 'withdrawn'
         return 'unexplained' if report['unexplained'] else 'missed'
     first, *others = report['causes']
@@ -84,7 +89,7 @@ def outcome_of_two(report: Report, truths: Sequence[str], inseparable: bool) -> 
         if not any(names(cause, truth, inseparable) for truth in truths)
     ]
     if not any(hits):
-        return 'false in place' if false else 'withdrawn' if report.get('withdrawn') else 'none'
+        return 'false in place' if false else 'withdrawn' if report['withdrawn'] else 'none'
     return ('both' if all(hits) else 'one') + (' and a false one' if false else '')
 
 
@@ -96,7 +101,7 @@ def outcome_of_unknown(report: Report, truth: str, inseparable: bool) -> str:
     effect that the logs cannot tell from it), `wrong`, `missed`.
     """
     axis = truth.split(':')[1]
-    unexplained = (report['unexplained'] or {}).get('axes', [])
+    unexplained = [item['axis'] for item in report['unexplained']]
     if axis in unexplained:
         return 'right'
     if report['causes']:
@@ -105,9 +110,9 @@ def outcome_of_unknown(report: Report, truth: str, inseparable: bool) -> str:
 
 
 def wrong_and_sure(report: Report, outcome: str) -> bool:
-    """Return whether a wrong name comes first, with high confidence."""
+    """Return whether a wrong name comes first, with high probability."""
     wrong = outcome in ('wrong', 'axis', 'later', 'false alarm')
-    return wrong and report['causes'][0]['confidence'] > SURE
+    return wrong and report['causes'][0]['probability'] > SURE
 
 
 @dataclass(frozen=True)

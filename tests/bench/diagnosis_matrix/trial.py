@@ -327,7 +327,7 @@ def _compared(
             {
                 'name': scoring.name_of(cause),
                 'probability': cause['probability'],
-                'delta_bic': cause['delta_bic'],
+                'log_evidence': cause['log_evidence'],
                 'group': scoring.others_of(cause),
                 'values': {key: item['value'] for key, item in cause['parameters'].items()},
             }

@@ -1,17 +1,142 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The colour that an autoregression leaves, and how far it moves what is fitted."""
+"""
+What noise that is not as assumed does to what is fitted, against many draws of it.
+
+Intervals are those of Student's t with the degrees of freedom of the estimated power.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import binom
+from scipy.stats import t as student
 
-from waferbot_twin.noise_model.prediction_error import Noise, fit, whitened
-from waferbot_twin.noise_model.residual_spectrum import covariance, flattened, spectrum
+from waferbot_twin.noise_model.prediction_error import (
+    Noise,
+    fit,
+    in_deviations,
+    likelihood,
+    whitened,
+)
+from waferbot_twin.noise_model.residual_spectrum import (
+    COSINES,
+    Power,
+    cosines,
+    covariance,
+    flattened,
+    power_along,
+    spectrum,
+)
 
-SAMPLES = 3000
-ORDER = 8
+SEED = 20261127
+SAMPLES, ORDER, DRAWS = 3000, 8, 200
+MOVES = np.abs(np.sin(np.linspace(0.0, 9.0, SAMPLES)))
+"""How fast an axis moves."""
+
+NOISE = {
+    'white': lambda random: random.normal(size=SAMPLES),
+    'of an autoregression': lambda random: lfilter(
+        [1.0], [1.0, -0.9], random.normal(size=SAMPLES + 500)
+    )[500:],
+    'louder while moving': lambda random: (0.3 + 2.0 * MOVES) * random.normal(size=SAMPLES),
+    'slow, unseen by the autoregression': lambda random: (
+        random.normal(size=SAMPLES)
+        + lfilter([0.1], [1.0, -0.98], random.normal(size=SAMPLES + 2000))[2000:]
+    ),
+}
+DIRECTIONS = {
+    'friction': np.sign(np.sin(np.linspace(0.0, 25.0, SAMPLES))),
+    'speed': np.sin(np.linspace(0.0, 9.0, SAMPLES)),
+    'a fast one': np.cos(np.linspace(0.0, 900.0, SAMPLES)),
+}
+FEWEST, MOST = binom(DRAWS, 0.95).ppf([0.001, 0.999])
+
+
+@pytest.mark.parametrize('direction', DIRECTIONS)
+@pytest.mark.parametrize('noise', NOISE)
+def test_intervals_by_the_power_along_a_direction_hold_the_truth(noise, direction):
+    random = np.random.default_rng(SEED)
+    inside = 0
+    for _ in range(DRAWS):
+        channel = NOISE[noise](random)
+        colours = likelihood([channel], [Noise(1e-9, ORDER)]).colours
+        (white,), (change,) = (
+            in_deviations(colours, [one]) for one in (channel, DIRECTIONS[direction])
+        )
+        square = float(change @ change)
+        size = float(change @ white) / square
+        left = white - size * change
+        power = power_along([left], [change], colours)
+        assert power.freedom == pytest.approx(COSINES)
+        error = math.sqrt(power.value / square)
+        inside += abs(size) < student(power.freedom).ppf(0.975) * error
+    print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')
+    assert FEWEST <= inside <= MOST
+
+
+@pytest.mark.parametrize('noise', NOISE)
+def test_intervals_by_the_covariance_of_a_fit_hold_the_truth(noise):
+    random = np.random.default_rng(SEED)
+    signatures = np.column_stack(list(DIRECTIONS.values()))
+    inside = np.zeros(signatures.shape[1])
+    for _ in range(DRAWS):
+        channels = [NOISE[noise](random)]
+        found = fit(channels, [signatures], [Noise(1e-9, ORDER)])
+        system, _ = whitened(channels, [signatures], found.colours)
+        error = np.sqrt(np.diag(covariance(system, found)))
+        inside += np.abs(found.value) < student(COSINES).ppf(0.975) * error
+    print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')
+    assert np.all((inside >= FEWEST) & (inside <= MOST))
+
+
+def test_taken_as_white_noise_louder_while_moving_would_be_known_too_well():
+    """Why there is a power along a direction: the usual intervals of the speed's share."""
+    random = np.random.default_rng(SEED)
+    speed = DIRECTIONS['speed'][:, None]
+    inside = 0
+    for _ in range(DRAWS):
+        found = fit([NOISE['louder while moving'](random)], [speed], [Noise(1e-9, ORDER)])
+        inside += abs(found.value[0]) < 1.96 * math.sqrt(found.covariance[0, 0])
+    assert inside < FEWEST
+
+
+def test_logs_add_their_degrees_of_freedom():
+    random = np.random.default_rng(SEED)
+    logs = [random.normal(size=SAMPLES) for _ in range(3)]
+    colours = likelihood(logs, [Noise(1e-9, ORDER)] * 3).colours
+    left = in_deviations(colours, logs)
+    same = in_deviations(colours, [DIRECTIONS['a fast one']] * 3)
+    power = power_along(left, same, colours)
+    assert COSINES < power.freedom <= 3 * COSINES
+    one_only = [same[0], np.zeros_like(same[1]), np.zeros_like(same[2])]
+    assert power_along(left, one_only, colours).freedom == pytest.approx(COSINES)
+
+
+def test_a_channel_that_follows_to_the_last_bit_has_its_floor_and_nothing_to_estimate():
+    residual = np.zeros(SAMPLES)
+    colours = likelihood([residual], [Noise(0.5, 0)]).colours
+    power = power_along([residual], [DIRECTIONS['friction']], colours)
+    assert power == Power(1.0, math.inf)
+
+
+def test_cosines_have_a_mean_square_of_one_and_are_orthogonal():
+    rows = cosines(1000)
+    assert rows.T @ rows / 1000.0 == pytest.approx(np.eye(COSINES), abs=1e-9)
+
+
+def test_a_likelihood_ratio_is_half_of_the_squares_where_power_is_known_and_less_where_it_is_not():
+    known, estimated = Power(2.0, math.inf), Power(2.0, 16.0)
+    for squares in (0.1, 5.0, 400.0):
+        ratio = known.log_likelihood_ratio(squares)
+        assert ratio == pytest.approx(squares / 4.0)
+        by_t = student(16.0).logpdf(0.0) - student(16.0).logpdf(math.sqrt(squares / 2.0))
+        assert estimated.log_likelihood_ratio(squares) == pytest.approx(by_t)
+        assert estimated.log_likelihood_ratio(-squares) == pytest.approx(-by_t)
+    assert estimated.log_likelihood_ratio(400.0) < known.log_likelihood_ratio(400.0)
 
 
 def test_a_slow_colour_that_an_autoregression_misses_is_taken_out():
@@ -28,51 +153,3 @@ def test_a_slow_colour_that_an_autoregression_misses_is_taken_out():
     assert np.median(power[middle] / expected[middle]) == pytest.approx(1.0, abs=0.03)
     flat = np.abs(np.fft.rfft(flattened(noise_of_both, power))) ** 2 / 40000
     assert flat[1:60].mean() == pytest.approx(1.0, abs=0.3)
-
-
-def log_with(random, slow):
-    """Return noise that an autoregression of this order can make white, and one that it does not see."""
-    quick = lfilter([1.0], [1.0, -0.7], random.normal(size=SAMPLES))
-    unseen = lfilter([slow * 0.005], [1.0, -0.995], random.normal(size=SAMPLES + 5000))
-    return quick + unseen[5000:]
-
-
-def scores(slow, periods, draws):
-    """Return by how many standard errors, of the fit and of `covariance`, estimates are off."""
-    seed = 20261127
-    print(f'seed {seed}')
-    random = np.random.default_rng(seed)
-    time = np.arange(SAMPLES) / SAMPLES
-    signatures = np.column_stack(
-        [np.cos(2.0 * np.pi * periods * time), random.normal(size=SAMPLES)]
-    )
-    usual, better = [], []
-    for _ in range(draws):
-        channels = [log_with(random, slow)]
-        found = fit(channels, [signatures], [Noise(1e-9, ORDER)])
-        system, _ = whitened(channels, [signatures], found.colours)
-        usual.append(found.value / np.sqrt(np.diag(found.covariance)))
-        better.append(found.value / np.sqrt(np.diag(covariance(system, found))))
-    return np.sqrt(np.mean(np.square(usual), axis=0)), np.sqrt(np.mean(np.square(better), axis=0))
-
-
-def test_errors_are_as_large_as_estimates_scatter_also_where_noise_is_slow():
-    usual, better = scores(slow=20.0, periods=4, draws=300)
-    print(usual, better)
-    assert usual[0] > 1.4
-    assert better[0] == pytest.approx(1.0, abs=0.15)
-    assert better[1] == pytest.approx(1.0, abs=0.1)
-
-
-def test_what_shows_only_in_the_very_lowest_lines_is_still_known_less_well_than_it_seems():
-    usual, better = scores(slow=10.0, periods=2, draws=300)
-    print(usual, better)
-    assert 1.2 < better[0] < 0.75 * usual[0]
-
-
-def test_errors_are_those_of_the_fit_where_the_noise_is_as_assumed():
-    usual, better = scores(slow=0.0, periods=6, draws=300)
-    print(usual, better)
-    assert usual == pytest.approx([1.0, 1.0], abs=0.12)
-    assert better == pytest.approx(usual, rel=0.15)
-    assert (better <= usual * (1.0 + 1e-9)).all()

@@ -44,6 +44,5 @@ EFFECT = Effect(
     _overlay,
     tried_at=tuple(2.0**power for power in range(-8, 2)),
     equation='F = k max(|e| - gap / 2, 0) sign(e)',
-    drive_train=True,
     title='gear backlash',
 )

@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from waferbot_twin.effects.compliances import compliance_effect, stage
 
-EFFECT = compliance_effect(
-    'belt_compliance', 'the belt of the drive stretches', stage('belt'), drive_train=True
-)
+EFFECT = compliance_effect('belt_compliance', 'the belt of the drive stretches', stage('belt'))

@@ -52,6 +52,5 @@ EFFECT = Effect(
     _overlay,
     equation='F = k e up to 2 pretension, slope k / 2 beyond',
     threshold=True,
-    drive_train=True,
     title='lost belt pretension',
 )

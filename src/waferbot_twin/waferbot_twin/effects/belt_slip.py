@@ -45,5 +45,4 @@ EFFECT = Effect(
     _overlay,
     equation='|F| <= force, the rest of the motion slips',
     threshold=True,
-    drive_train=True,
 )

@@ -58,6 +58,5 @@ EFFECT = Effect(
     _overlay,
     several_trials('time_constant', 0.5, 2.0, 10.0),
     equation='F = drag v / v_rated exp(-t / time_constant)',
-    fades_after='time_constant',
     title='viscous drag that fades as it warms',
 )

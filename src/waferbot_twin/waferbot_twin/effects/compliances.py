@@ -51,9 +51,7 @@ stiffer ones make lines in a spectrum.
 """
 
 
-def compliance_effect(
-    name: str, summary: str, group: Group, drive_train: bool = False, title: str = ''
-) -> Effect:
+def compliance_effect(name: str, summary: str, group: Group, title: str = '') -> Effect:
     """Return the effect of another compliance of a group of connections."""
 
     def axes(variant: Variant) -> tuple[str, ...]:
@@ -91,7 +89,6 @@ def compliance_effect(
         usual=True,
         rings=True,
         tried_at=GIVING,
-        drive_train=drive_train,
         title=title,
     )
 

@@ -9,6 +9,5 @@ EFFECT = compliance_effect(
     'coupling_compliance',
     'the coupling or the rack of the drive gives',
     stage('coupling', 'rack'),
-    drive_train=True,
     title='compliance of the coupling',
 )

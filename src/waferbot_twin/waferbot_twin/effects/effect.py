@@ -92,12 +92,10 @@ class Effect:
     grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
     `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
     else; `cycle` is that which is a period in counts of the axis' encoder. One whose name says that it
-    repeats along the way `repeats_after` a length, m or rad of its axis (0: never), one whose name says
-    that it fades away has the time constant that `fades_after` names. Of a `usual` one every machine
-    has some: where a model is far off, it is likely among what lacks. One that is `evident` stands in
-    the readings themselves, and no noise feigns it; one in the `drive_train` stands in the difference
-    of the encoders of motor and load, if there are both. Where one is not `distinct` in a model, the
-    effect `same_as` does exactly the same and stands for it.
+    repeats along the way `repeats_after` a length, m or rad of its axis (0: never). Of a `usual` one
+    every machine has some. One that is `evident` stands in the readings themselves, and no noise
+    feigns it. Where one is not `distinct` in a model, the effect `same_as` does exactly the same and
+    stands for it.
     """
 
     name: str
@@ -114,11 +112,9 @@ class Effect:
     tried_at: tuple[float, ...] = ()
     begins_at: float = 0.0
     evident: bool = False
-    drive_train: bool = False
     tone: str = ''
     cycle: str = ''
     repeats_after: Length = never
-    fades_after: str = ''
     same_as: str = ''
     distinct: Callable[[Variant, str], bool] = always
     title: str = ''

@@ -5,6 +5,4 @@ from __future__ import annotations
 
 from waferbot_twin.effects.compliances import compliance_effect, stage
 
-EFFECT = compliance_effect(
-    'gearbox_compliance', 'the gearbox twists under torque', stage('gear'), drive_train=True
-)
+EFFECT = compliance_effect('gearbox_compliance', 'the gearbox twists under torque', stage('gear'))

@@ -95,7 +95,6 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='t = cosine cos(order phi) + sine sin(order phi)',
-    drive_train=True,
     repeats_after=_repeats_after,
     begins_at=1e-3,
 )

@@ -5,15 +5,10 @@ Fit of all parameters of a set of causes, through the simulation.
 Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
 success, and within the bounds of the parameters (a bounded linear least-squares problem): a
 compliance that shrinks to nothing stops there while the others go on.
-
-Where many parameters are fitted that the logs hardly tell apart (a mass and a force constant, without
-currents), what is usual decides: each is taken to be normally distributed about neutral, with `USUAL`
-times its typical size, and the logarithm of that is added to that of the likelihood.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -51,9 +46,6 @@ REACH, SHORTEST = 100.0, 0.01
 PROMISES = 10.0
 """Gain in 2 ln L that a step promises from which on ever smaller shares of it are tried."""
 
-USUAL = 1.0
-"""Standard deviation of a parameter of a usual effect, in its typical size."""
-
 Names = Sequence[tuple[int, Parameter]]
 
 
@@ -78,26 +70,26 @@ def fit_causes(
     rounds: int = ROUNDS,
     workers: int = 1,
     enough: float = ENOUGH,
-    usual: float = 0.0,
+    known: Sequence[Signature] = (),
 ) -> Hypothesis:
     """
     Return the causes with the values that make the logs most likely.
 
-    The fit ends when a round gains less than `enough` in ln L. `usual` is the weight of what is usual:
-    the number of samples for each independent one, or nothing. Raises `UserError` if the simulation
+    The fit ends when a round gains less than `enough` in ln L. `known` are signatures of the first causes
+    that were found near here: they are not found anew in every round (chord method). Raises `UserError` if the simulation
     blows up where the fit begins.
     """
     now = evaluate(problem, causes)
     names = names_of(problem, causes)
     reach = REACH
     for _ in range(rounds if names else 0):
-        linear = linearise(problem, now, names, workers, usual)
+        linear = linearise(problem, now, names, workers, known)
         now.covariance = linear.covariance
-        better, reach = _step(problem, now, names, linear, reach, usual)
+        better, reach = _step(problem, now, names, linear, reach)
         if better is None:
             break
         better.covariance = linear.covariance
-        gain = _merit(better, names, usual) - _merit(now, names, usual)
+        gain = better.log_likelihood - now.log_likelihood
         now = better
         if gain < enough:
             break
@@ -113,36 +105,12 @@ def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
     ]
 
 
-def _merit(hypothesis: Hypothesis, names: Names, usual: float) -> float:
-    """Return ln L with that of what is usual."""
-    if not usual:
-        return hypothesis.log_likelihood
-    unusual = _unusual(hypothesis.causes, names)
-    return hypothesis.log_likelihood - 0.5 * usual * float(unusual @ unusual)
-
-
-def _unusual(causes: Sequence[Cause], names: Names) -> Array:
-    """Return every parameter of a usual effect in its standard deviations from neutral, else 0."""
-    return np.array(
-        [
-            (causes[place].values[item.name] - item.neutral) * _per_unit(causes[place], item)
-            for place, item in names
-        ]
-    )
-
-
-def _per_unit(cause: Cause, item: Parameter) -> float:
-    width = abs(item.typical - item.neutral)
-    return 1.0 / (USUAL * width) if cause.effect.usual and width > 0.0 else 0.0
-
-
 def _step(
     problem: Problem,
     now: Hypothesis,
     names: Names,
     linear: Linear,
     reach: float,
-    usual: float = 0.0,
 ) -> tuple[Hypothesis | None, float]:
     """
     Return the first better hypothesis within ever shorter reaches, or None, and the next reach.
@@ -160,7 +128,7 @@ def _step(
             tried = evaluate(problem, moved(now.causes, names, change))
         except UserError:
             tried = now
-        if _merit(tried, names, usual) > _merit(now, names, usual):
+        if tried.log_likelihood > now.log_likelihood:
             return tried, 2.0 * reach
         widths = _widths(now.causes, names)
         reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
@@ -175,24 +143,6 @@ def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: float
     if np.all((linear.value >= low) & (linear.value <= high)):
         return linear.value
     return _least(linear.matrix, linear.right, low, high)
-
-
-def without(
-    causes: tuple[Cause, ...], names: Names, linear: Linear, place: int
-) -> tuple[Cause, ...]:
-    """Return the causes without one, the others moved to make up for it as far as they can."""
-    own = np.array([cause == place for cause, _ in names])
-    away = np.array([item.neutral - causes[cause].values[item.name] for cause, item in names])
-    low, high = _room(causes, names)
-    change = np.zeros(len(names))
-    change[~own] = _least(
-        linear.matrix[:, ~own],
-        -linear.matrix[:, own] @ away[own],
-        low[~own],
-        high[~own],
-    )
-    after = moved(causes, names, change)
-    return (*after[:place], *after[place + 1 :])
 
 
 def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
@@ -229,38 +179,28 @@ def _width(cause: Cause, item: Parameter) -> float:
 
 
 def linearise(
-    problem: Problem, now: Hypothesis, names: Names, workers: int = 1, usual: float = 0.0
+    problem: Problem,
+    now: Hypothesis,
+    names: Names,
+    workers: int = 1,
+    known: Sequence[Signature] = (),
 ) -> Linear:
-    """
-    Return the linear problem about a hypothesis, with the weight of what is usual.
-
-    With it the model is far from the machine, and the way there need not be exact.
-    """
-    own = _signatures(*(in_quick_steps(problem, now) if usual else (problem, now)), workers)
+    """Return the linear problem about a hypothesis, with signatures in the plant's longer steps."""
+    own = [*known, *_signatures(*in_quick_steps(problem, now), workers, len(known))]
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
     system, right = whitened_jointly(now.residuals, together, estimate)
-    if not usual:
-        orthogonal, triangle = np.linalg.qr(system)
-        spread = covariance(system, estimate)
-        return Linear(estimate.value, spread, triangle, orthogonal.T @ right)
-    weight = math.sqrt(usual)
-    towards = weight * np.array([_per_unit(now.causes[place], item) for place, item in names])
-    system = np.vstack([system, np.diag(towards)])
-    right = np.concatenate([right, -weight * _unusual(now.causes, names)])
     orthogonal, triangle = np.linalg.qr(system)
-    scale = np.linalg.norm(triangle, axis=0)
-    scale[scale == 0.0] = 1.0
-    inverse = np.linalg.pinv(triangle / scale, rcond=1e-10)
-    right = orthogonal.T @ right
-    spread = inverse @ inverse.T / np.outer(scale, scale)
-    return Linear(inverse @ right / scale, spread, triangle, right)
+    spread = covariance(system, estimate)
+    return Linear(estimate.value, spread, triangle, orthogonal.T @ right)
 
 
-def _signatures(problem: Problem, now: Hypothesis, workers: int) -> list[Signature]:
-    """Return the signatures of all causes, as many at a time as there are workers."""
-    every = range(len(now.causes))
+def _signatures(
+    problem: Problem, now: Hypothesis, workers: int, first_place: int = 0
+) -> list[Signature]:
+    """Return the signatures of causes from a place on, as many at a time as there are workers."""
+    every = range(first_place, len(now.causes))
     # To send the logs to another process takes as long as to simulate some signatures: once to each.
     parts = [every[first::workers] for first in range(min(workers, len(every)))]
     found = Parallel(n_jobs=workers)(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -39,16 +38,6 @@ class Hypothesis:
     def samples(self) -> int:
         """Samples of all channels."""
         return sum(item.samples for item in self.fits.values())
-
-    @property
-    def parameters(self) -> int:
-        """Number of free parameters."""
-        return sum(cause.free for cause in self.causes)
-
-    @property
-    def information_criterion(self) -> float:
-        """Schwarz' criterion k ln N - 2 ln L: lower is better."""
-        return self.parameters * math.log(self.samples) - 2.0 * self.log_likelihood
 
 
 def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:

@@ -47,14 +47,12 @@ def fit_jointly(
     residuals: Residuals,
     signature: Signature,
     rounds: int = 4,
-    from_white: bool = False,
     known: Mapping[str, Fit] | None = None,
 ) -> Fit:
     """
     Fit a signature to the residuals of its blocks; channels follow one another block by block.
 
-    `known` is how likely the residuals are as they stand, by block, if somebody has found that already;
-    `from_white` as in `prediction_error.fit`.
+    `known` is how likely the residuals are as they stand, by block, if somebody has found that already.
     """
     blocks = list(signature)
     colours = [colour for block in blocks for colour in known[block].colours] if known else []
@@ -63,7 +61,6 @@ def fit_jointly(
         [part for block in blocks for part in by_channel(signature[block], residuals[block])],
         [noise for block in blocks for noise in problem.noises(block)],
         rounds,
-        from_white,
         colours,
     )
 

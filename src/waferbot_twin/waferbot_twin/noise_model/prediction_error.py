@@ -115,12 +115,6 @@ def autoregression(residual: Array, order: int) -> Array:
     return _prediction_error([residual], 0, Noise(0.0, order)).own
 
 
-def unpredictable(residual: Array, noise: Noise) -> float:
-    """Return the standard deviation of what the past of a residual (N,) itself does not tell of it."""
-    white = _prediction_error([residual], 0, noise.alone())([residual], 0)
-    return max(float(np.sqrt(np.mean(white**2))), noise.floor)
-
-
 def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> PredictionError:
     """Return the prediction-error filter of channel number `place`, by least squares."""
     order = noise.order
@@ -206,15 +200,13 @@ def fit(
     signatures: Sequence[Array],
     noises: Sequence[Noise],
     rounds: int = 4,
-    from_white: bool = False,
     known: Sequence[Colour] = (),
 ) -> Fit:
     """
     Fit the signatures (N, k) of all channels to their residuals (N,).
 
-    The noise is what is left of the residuals without them, at first all of it; or, `from_white`, what
-    ordinary least squares leave, as if it were white: a strong tone would be taken for its colour.
-    `known` is the colour of the residuals as they stand, channel by channel, if somebody has it already.
+    The noise is what is left of the residuals without them, at first all of it. `known` is the colour
+    of the residuals as they stand, channel by channel, if somebody has it already.
     """
     count = signatures[0].shape[1]
     value: Array = np.zeros(count)
@@ -226,14 +218,9 @@ def fit(
         bool(signatures[place].any() or (noise.beside and signatures[place + noise.beside].any()))
         for place, noise in enumerate(noises)
     ]
-    if from_white:
-        solution, *_ = np.linalg.lstsq(
-            np.vstack(signatures), -np.concatenate(residuals), rcond=1e-10
-        )
-        value = np.asarray(solution)
     for number in range(rounds):
         colours = standing
-        if number or from_white:
+        if number:
             colours = _colours(_left(residuals, signatures, value), noises, standing, changes)
         matrix, right = whitened(residuals, signatures, colours)
         scale = np.sqrt(np.sum(matrix**2, axis=0))

@@ -14,7 +14,6 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Itself, Variant
-from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.noise_model.prediction_error import Fit, Noise, likelihood
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.controller_block import controller_block
@@ -27,9 +26,6 @@ AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
 
 UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURRENT_LOOP: 'A'}
 """The blocks that can be replayed alone, and the unit of their residuals."""
-
-ROUGH = 5.0
-"""Floors below which a residual is as good as nothing, where the model is far from the machine."""
 
 PLAIN = 30.0
 """Difference in 2 ln L from which on an exact block plainly does something else than its model."""
@@ -128,7 +124,6 @@ class Problem:
         """Prepare every block that the logs have the signals for."""
         self.nominal = nominal
         self.records = tuple(records)
-        self.whitens = True
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
@@ -174,11 +169,6 @@ class Problem:
         blocks = self.touched(cause.effect, cause.axis)
         return cause.effect.threshold and set(blocks) <= set(self.exact_blocks)
 
-    def sees_both_ends(self, axis: str) -> bool:
-        """Return whether every log has the encoders of an axis' motor and of its load."""
-        ends = {MOTOR_ENCODER[axis], POSITION_ENCODER[axis]}
-        return len(ends) == 2 and all(ends <= set(log.channels) for log in self.blocks[PLANT])
-
     @property
     def plants(self) -> list[PlantBlock]:
         """The plant of every log."""
@@ -199,18 +189,6 @@ class Problem:
         variant = apply_all(self.nominal, causes)
         return Problem(self.nominal, [simulate(variant, record) for record in self.records])
 
-    def coarse(self) -> Problem:
-        """
-        Return the same problem with residuals as they are, not whitened.
-
-        Far from the truth what is left over is no noise, and whitening would take out the very
-        thing that shows the way. What is below `ROUGH` floors is as good as nothing there, so that
-        noise of one channel is not paid for with the motion of another.
-        """
-        other = copy.copy(self)
-        other.whitens = False
-        return other
-
     def with_coloured_forces(self) -> Problem:
         """Return the same problem with noise whose forces may have a colour: to compare models."""
         other = copy.copy(self)
@@ -227,7 +205,7 @@ class Problem:
     def channels(self, block: str) -> list[Channel]:
         """Return every channel of a block, log by log."""
         return [
-            Channel(log, name, noise if self.whitens else Noise(ROUGH * noise.floor, 0))
+            Channel(log, name, noise)
             for log in self.blocks[block]
             for name, noise in zip(log.channels, log.noises, strict=True)
         ]

@@ -2,9 +2,9 @@
 """
 The units in which people are told of an imported log.
 
-Counts, phase cycles and servo cycles are the twin's own: somebody whose log has metres and seconds
-never chose them. Of an imported log residuals are told in m or rad, those of a described controller in
-the unit of its output, delays in ms. Of a recording of the twin everything stays as it is.
+Counts and servo cycles are the twin's own: somebody whose log has metres and seconds never chose them.
+Of an imported log residuals are told in m or rad, those of a described controller in the unit of its
+output. Of a recording of the twin everything stays as it is.
 """
 
 from __future__ import annotations
@@ -36,8 +36,6 @@ def shown_value(record: Record, variant: Variant, axis: str, item: Parameter) ->
     """Return what the value of an effect's parameter is multiplied by when it is told, and its unit."""
     if not record.is_imported:
         return 1.0, item.unit
-    if item.unit == 'phase cycles':
-        return 1e3 / record.timing.encoder_hz, 'ms'
     own = [name for name in ENCODERS if AXIS_OF[name] == axis]
     if item.unit == 'counts' and own and own[0] in variant.base.description.encoders:
         per_unit = places.counts_per_unit(variant)[AXES.index(axis)]

@@ -8,12 +8,13 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import infer
 from waferbot_twin.diagnosis.proposals import compliance_scan
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.diagnosis.proposals.spectral_lines import lines
-from waferbot_twin.diagnosis.screening_rounds import Rounds
-from waferbot_twin.diagnosis.search import search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
@@ -75,11 +76,9 @@ def test_a_ring_that_makes_no_line_is_found_by_trying(nominal, logs):
     (problem, _), _ = logs
     base = evaluate(problem)
     assert not lines(problem, base)
-    rounds = Rounds(problem, effects, quiet)
-    rounds.begin(base)
-    assert all(
-        item.score < 0.0 for item in rounds.screen(base) if item.cause.effect.name == HIDDEN
-    )
+    pool = CandidatePool(problem, effects, Settings(), quiet)
+    pool.begin(base)
+    assert all(item.score < 0.0 for item in pool.screen(base) if item.cause.effect.name == HIDDEN)
     screened = screen_damped(problem, base, candidates(problem, effects))
     best = max(screened, key=lambda item: item.score)
     assert best.cause.name == f'{HIDDEN}:{AXIS}'
@@ -122,8 +121,8 @@ def test_what_no_log_could_hold_is_not_tried(nominal, logs):
 def test_a_search_that_finds_nothing_else_tries_it(nominal, logs):
     effects = [find(name) for name in RIVALS]
     (parameter,) = find(HIDDEN).parameters(nominal, AXIS)
-    (finding, judging), (nothing, nothing_either) = logs
-    (found,) = search(Rounds(finding, effects, quiet), judging).found.causes
+    (ringing, _), (nothing, _) = logs
+    (found,) = infer(CandidatePool(ringing, effects, Settings(), quiet)).found.causes
     assert found.name == f'{HIDDEN}:{AXIS}'
     assert found.values['compliance'] == pytest.approx(SHARE * parameter.typical, rel=0.02)
-    assert not search(Rounds(nothing, effects, quiet), nothing_either).found.causes
+    assert not infer(CandidatePool(nothing, effects, Settings(), quiet)).found.causes

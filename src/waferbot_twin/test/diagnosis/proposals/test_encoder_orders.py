@@ -11,7 +11,7 @@ from scipy.signal import bilinear, lfilter
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_twin.diagnosis.proposals.encoder_orders import CHANCE, at_periods, lasting_periods
+from waferbot_twin.diagnosis.proposals.encoder_orders import CHANCE, at_periods, periods
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
@@ -68,16 +68,11 @@ def test_a_period_is_found_whatever_the_speed_does(period, amplitude):
     print(f'seed {seed}')
     random = np.random.default_rng(seed)
 
-    def log(period):
-        counts = swing(random)
-        phase = random.uniform(0, 6)
-        return left_over(random, counts, amplitude * np.cos(2.0 * np.pi * counts / period + phase))
-
-    first = log(period)
+    counts = swing(random)
+    error = amplitude * np.cos(2.0 * np.pi * counts / period + random.uniform(0, 6))
+    first, *_ = periods(*left_over(random, counts, error), 'y_linear')
     off = 0.5 * period**2 / 10000.0  # half of what a travel of 10000 counts tells apart
-    found = lasting_periods(*first, *log(period))
-    assert found == {'y_linear': pytest.approx(period, abs=off)}
-    assert not lasting_periods(*first, *log(1.2 * period))
+    assert first == pytest.approx(period, abs=off)
 
 
 @pytest.mark.parametrize('goes', [0.0, 3.0])
@@ -86,7 +81,7 @@ def test_an_axis_that_stands_has_no_period(goes):
     random = np.random.default_rng(1)
     counts = np.rint(np.linspace(700.0, 700.0 + goes, 4500))
     log = left_over(random, counts, np.zeros(4500))
-    assert lasting_periods(*log, *log) == {}
+    assert periods(*log, 'y_linear') == []
 
 
 def test_noise_has_a_period_no_more_often_than_promised():
@@ -96,8 +91,7 @@ def test_noise_has_a_period_no_more_often_than_promised():
     found = 0
     for _ in range(150):
         counts = swing(random)
-        same = left_over(random, counts, np.zeros(len(counts)))
-        found += bool(lasting_periods(*same, *same))  # the same noise twice: each by itself
+        found += bool(periods(*left_over(random, counts, np.zeros(len(counts))), 'y_linear'))
     assert found <= CHANCE * 150 + 3.0 * np.sqrt(CHANCE * 150)
 
 

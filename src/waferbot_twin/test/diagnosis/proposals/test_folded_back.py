@@ -10,10 +10,11 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import infer
 from waferbot_twin.diagnosis.proposals.folded_back import folded_back
 from waferbot_twin.diagnosis.proposals.screening import candidates
-from waferbot_twin.diagnosis.screening_rounds import Rounds
-from waferbot_twin.diagnosis.search import search
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
@@ -62,7 +63,8 @@ def test_level_and_time_of_a_fold_back_are_read_from_the_log(nominal):
         assert trial['time'] == pytest.approx(true['time'], rel=0.1)
         (cause,) = candidates(problem, [shown])  # as it is, on no rungs
         assert cause.values == trial
-        found = search(Rounds(problem, [shown], lambda *_: None), problem).found
+        pool = CandidatePool(problem, [shown], Settings(), lambda *_: None)
+        found = infer(pool).found
         assert [cause.name for cause in found.causes] == [f'i2t_foldback:{AXIS}']
         continuous = found.causes[0].values['continuous']
         assert continuous == pytest.approx(true['continuous'], rel=1e-4)

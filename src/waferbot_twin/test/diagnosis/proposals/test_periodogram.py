@@ -11,7 +11,8 @@ from scipy.signal import lfilter
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_twin.diagnosis.proposals.periodogram import CHANCE, at_tones, lasting_tones, tones
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.proposals.periodogram import CHANCE, at_tones, tones
 from waferbot_twin.diagnosis.proposals.screening import candidates, screen, signatures
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
@@ -76,22 +77,6 @@ def test_noise_has_a_tone_as_rarely_as_promised():
     assert found <= CHANCE * 300 + 3.0 * np.sqrt(CHANCE * 300)
 
 
-def test_noise_that_wanders_slowly_has_no_lasting_tone():
-    """Its strongest frequencies, one to three periods in a log, are alike in every other pair."""
-    seed = 20261204
-    print(f'seed {seed}')
-    random = np.random.default_rng(seed)
-    pole = np.exp(-2.0 * np.pi * 1.0 / RATE_HZ)
-
-    def log():
-        wanders = lfilter([np.sqrt(1.0 - pole**2)], [1.0, -pole], random.normal(0.0, 1.0, 4400))
-        return wanders[2200:] + random.normal(0.0, 0.3, 2200)
-
-    pairs = [(coloured([log()], 24), coloured([log()], 24)) for _ in range(100)]
-    found = sum(bool(lasting_tones(*first, *second)) for first, second in pairs)
-    assert found <= CHANCE * 100
-
-
 @pytest.mark.slow
 def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     seed = 20261127
@@ -111,7 +96,7 @@ def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     base = evaluate(problem)
     toned = at_tones(problem, base, candidates(problem, [effect]))
     found = signatures(problem, base, toned, 1, lambda *_: None)
-    first, *_ = screen(problem, base, toned, found, [])
+    first, *_ = screen(problem, base, toned, found, [], Settings().prior_scales)
     fitted = fit_causes(problem, (first.cause,))
     assert 2.0 * (fitted.log_likelihood - base.log_likelihood) > 50.0
     values = fitted.causes[0].values
@@ -119,21 +104,3 @@ def test_a_floor_that_shakes_between_the_trials_of_the_library_is_found():
     assert np.hypot(values['cosine'], values['sine']) == pytest.approx(
         np.hypot(0.05, 0.08), rel=0.1
     )
-
-
-def test_a_tone_lasts_if_all_logs_have_it_at_one_frequency_on_one_axis():
-    seed = 20261126
-    print(f'seed {seed}')
-    random = np.random.default_rng(seed)
-
-    def log(frequency_hz, length=2000):
-        time_s = np.arange(length) / RATE_HZ
-        phase = random.uniform(0, 6)
-        return random.normal(0.0, 1.0, length) + 0.4 * np.sin(
-            6.2832 * frequency_hz * time_s + phase
-        )
-
-    first = white([log(48.7)])
-    assert lasting_tones(*first, *white([log(48.9)])) == {'x_rotate': pytest.approx(48.7, abs=0.5)}
-    assert not lasting_tones(*first, *white([log(70.0)]))
-    assert not lasting_tones(*first, *white([random.normal(0.0, 1.0, 2000)]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes that are said to repeat, in logs that go far enough or not."""
+"""Causes that are said to repeat, in logs that go some way or none."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import pytest
 
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
-from waferbot_twin.diagnosis.left_over import LeftOver
-from waferbot_twin.diagnosis.proposals.repetition import unrepeated
+from waferbot_twin.diagnosis.proposals.repetition import can_repeat
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -54,46 +53,26 @@ def problem_of(nominal, *travels):
         ('torque_ripple', 'y_rotate', 2.0 * math.pi / 4.0 / 6.0 / GEAR, {}),  # 4 pairs
     ],
 )
-def test_it_repeats_where_half_of_its_period_is_seen(nominal, name, axis, period, values):
+def test_effects_say_after_which_way_they_repeat(nominal, name, axis, period, values):
     effect = find(name)
-    cause = Cause(effect, axis, effect.complete(nominal, axis, values))
-    encoder = 'y_rotate_load' if axis == 'y_rotate' else axis
-    enough, too_little = (problem_of(nominal, {encoder: share * period}) for share in (0.52, 0.48))
-    assert unrepeated([cause], too_little, enough) == []
-    assert unrepeated([cause], enough, too_little) == []
-    (found,) = unrepeated([cause], too_little, too_little)
-    assert found.after == pytest.approx(period)
-    assert found.seen == pytest.approx(0.48 * period, rel=0.01)
-    assert f'{name}:{axis}: it would repeat every' in str(found)
-    rest = LeftOver(doubts=[found])
-    assert rest.axes == [axis]
-    assert rest.in_doubt(cause, too_little)
+    found = effect.repeats_after(nominal, axis, effect.complete(nominal, axis, values))
+    assert found == pytest.approx(period)
+
+
+def test_what_does_not_repeat_is_possible_where_an_axis_stands(nominal):
+    standing = problem_of(nominal, {'y_linear': 0.0})
+    for name in ('viscous_friction', 'encoder_scale', 'position_dependent_friction'):
+        effect = find(name)
+        cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
+        assert can_repeat(standing, cause)
 
 
 def test_an_axis_of_which_only_the_motor_is_measured_goes_as_far_as_that(nominal):
     effect = find('torque_ripple')
     cause = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
-    period = 2.0 * math.pi / 24.0
-    enough, too_little = (
-        problem_of(nominal, {'y_rotate_motor': share * period}) for share in (0.52, 0.48)
-    )
-    assert unrepeated([cause], enough, enough) == []
-    assert len(unrepeated([cause], too_little, too_little)) == 1
-
-
-def test_two_logs_that_begin_elsewhere_are_not_joined(nominal):
-    effect = find('encoder_eccentricity')
-    cause = Cause(effect, 'x_rotate', effect.typical(nominal, 'x_rotate'))
-    both = problem_of(nominal, {'x_rotate': 0.4 * math.pi}, {'x_rotate': -0.4 * math.pi})
-    assert len(unrepeated([cause], both, both)) == 1
-
-
-def test_what_does_not_repeat_is_not_asked(nominal):
-    standing = problem_of(nominal, {'y_linear': 0.0})
-    for name in ('viscous_friction', 'encoder_scale', 'position_dependent_friction'):
-        effect = find(name)
-        cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
-        assert unrepeated([cause], standing, standing) == []
+    goes, stands = (problem_of(nominal, {'y_rotate_motor': way}) for way in (0.1, 0.0))
+    assert can_repeat(goes, cause)
+    assert not can_repeat(stands, cause)
 
 
 def test_no_cause_that_repeats_is_tried_where_an_axis_stands(nominal):

@@ -12,6 +12,7 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import candidates, screen, signatures
 from waferbot_twin.effects import find
@@ -54,7 +55,7 @@ def best_screened(problem: Problem, *names: str, axis: str = 'y_rotate'):
     effects = [find(name) for name in names]
     every = [item for item in candidates(problem, effects) if item.axis == axis]
     found = signatures(problem, base, every, 1, quiet)
-    first, *_ = screen(problem, base, every, found, [])
+    first, *_ = screen(problem, base, every, found, [], Settings().prior_scales)
     return first
 
 
@@ -94,7 +95,8 @@ def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
     (cause,) = candidates(problem, [effect])
     assert (cause.name, cause.values, cause.free) == (true.name, true.values, 0)
     base = evaluate(problem)
-    (first,) = screen(problem, base, [cause], signatures(problem, base, [cause], 1, quiet), [])
+    found = signatures(problem, base, [cause], 1, quiet)
+    (first,) = screen(problem, base, [cause], found, [], Settings().prior_scales)
     found = fit_causes(problem, (first.cause,))
     gained = 2.0 * (found.log_likelihood - base.log_likelihood)
     assert first.score == pytest.approx(gained, rel=1e-3)  # it is screened in steps twice as long

@@ -13,10 +13,11 @@ import pytest
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.inference.refit import TRIALS, within_reach
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.offered import limited_commands
 from waferbot_twin.diagnosis.proposals.screening import Screened, candidates
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs, rungs
-from waferbot_twin.diagnosis.shortlist import TRIALS, most_promising
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
@@ -141,9 +142,10 @@ def test_trials_that_promise_as_much_are_all_fitted(nominal):
 
     def at(order, score):
         cause = Cause(effect, 'y_linear', {'cosine': 0.0, 'sine': 0.0, 'order': order}, ('order',))
-        return Screened(cause, score, np.zeros(2))
+        return Screened(cause, score, np.zeros(2), score)
 
     screened = [at(2.0, 100.0), at(6.0, 99.0), at(1.0, 50.0)]
-    assert [item.score for item in most_promising(problem, screened)] == [100.0, 99.0]
+    chosen = within_reach(problem, screened, Settings())
+    assert [item.score for item in chosen] == [100.0, 99.0]
     tied = [at(float(order), 100.0) for order in range(1, 8)]
-    assert len(most_promising(problem, tied)) == TRIALS
+    assert len(within_reach(problem, tied, Settings())) == TRIALS

@@ -31,7 +31,7 @@ from waferbot_twin.diagnosis.proposals.screening import (
 )
 from waferbot_twin.diagnosis.proposals.spectral_lines import lines
 from waferbot_twin.effects.effect import Effect
-from waferbot_twin.estimation.hypothesis import Hypothesis, signature
+from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, signature
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
@@ -140,7 +140,7 @@ class CandidatePool:
         }
         if unknown:
             causes = list(unknown.values())
-            changes, of_base = changes_of(causes), self._signatures_of(base)
+            changes, of_base = changes_of(causes), self.signatures_of(base)
             scales = self.settings.prior_scales
             found = screen(self.problem, base, causes, changes, of_base, scales, self.workers)
             by_values = {_values(item.cause): item for item in found}
@@ -148,13 +148,13 @@ class CandidatePool:
         known = (self._screened[key] for key in asked)
         return _best_first(item for item in known if item is not None)
 
-    def _signatures_of(self, base: Hypothesis) -> list[Signature]:
+    def signatures_of(self, base: Hypothesis) -> list[Signature]:
         """Return what the causes of `base` themselves change."""
         key = tuple(map(_values, base.causes))
         if key not in self._of_base:
+            quick, begun = in_quick_steps(self.problem, base)
             self._of_base[key] = [
-                signature(self.problem, base, base.causes, place)
-                for place in range(len(base.causes))
+                signature(quick, begun, base.causes, place) for place in range(len(base.causes))
             ]
         return self._of_base[key]
 

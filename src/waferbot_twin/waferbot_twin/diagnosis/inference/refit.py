@@ -16,6 +16,7 @@ from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
 ENOUGH = 0.3
@@ -71,27 +72,34 @@ def refit(
     problem: Problem,
     base: Hypothesis,
     items: Sequence[Screened],
+    known: Sequence[Signature],
     progress: Progress,
     workers: int = 1,
 ) -> list[Hypothesis]:
     """
     Return the causes of `base` with each of the candidates behind them, all fitted together.
 
-    In the order of the candidates; those with which the simulation blows up are left out.
+    In the order of the candidates; those with which the simulation blows up are left out. `known` are the
+    signatures of the causes of `base`.
     """
     pool = Parallel(n_jobs=workers, return_as='generator', batch_size=1)
     found = []
-    for number, one in enumerate(pool(delayed(_refit)(problem, base, item) for item in items), 1):
+    for number, one in enumerate(
+        pool(delayed(_refit)(problem, base, item, known) for item in items), 1
+    ):
         progress('fitting', number, len(items))
         if one is not None:
             found.append(one)
     return found
 
 
-def _refit(problem: Problem, base: Hypothesis, item: Screened) -> Hypothesis | None:
+def _refit(
+    problem: Problem, base: Hypothesis, item: Screened, known: Sequence[Signature]
+) -> Hypothesis | None:
     try:
         start = _start(problem, base, item)
-        return downhill(problem, start, fit_causes(problem, (*base.causes, start), enough=ENOUGH))
+        causes = (*base.causes, start)
+        return downhill(problem, start, fit_causes(problem, causes, enough=ENOUGH, known=known))
     except UserError:
         return None
 

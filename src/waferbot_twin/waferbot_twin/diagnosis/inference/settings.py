@@ -24,6 +24,8 @@ class Settings:
     endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
                        the one that the command causes disagree, and the latter counts
 
+    correlated_from    correlation of estimates from which on one effect is asked for anew beside another
+
     Raises `UserError` for a value out of its range.
     """
 
@@ -34,10 +36,11 @@ class Settings:
     most_causes: int = 12
     most_refits: int = 8
     endogeneity_level: float = 1e-3
+    correlated_from: float = 0.1
 
     def __post_init__(self) -> None:
         """Check every value."""
-        shares = 'named_from', 'credible_level', 'endogeneity_level'
+        shares = 'named_from', 'credible_level', 'endogeneity_level', 'correlated_from'
         for name in shares:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise UserError(f'{name} is {getattr(self, name)}; it must be between 0 and 1')

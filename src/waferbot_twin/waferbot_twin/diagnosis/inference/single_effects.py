@@ -42,14 +42,14 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.refit import refit, released, within_reach
 from waferbot_twin.diagnosis.proposals.screening import Screened
 from waferbot_twin.estimation.evidence import gain, log_evidence
-from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.gauss_newton import fit_causes, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
-PASSES = 3
+PASSES = 2
 """How often at most every effect is asked for anew."""
 
 
@@ -168,7 +168,7 @@ def infer(pool: CandidatePool) -> Posterior:
         effect = _ask(pool, found)
         if effect is None or effect.inclusion < settings.named_from:
             break
-        found = effect.best.found
+        found = _fitted(problem, effect.best.found.causes) or effect.best.found
         effects.append(effect)
     found, effects = _ask_again(pool, found, effects)
     return Posterior(nothing, found, tuple(effects), len(pool.names))
@@ -182,6 +182,8 @@ def _ask_again(
         changed = False
         for effect in list(effects):
             name = effect.best.cause.name
+            if not _bent(pool, found, name):
+                continue
             present = next(cause for cause in found.causes if cause.name == name)
             others = tuple(cause for cause in found.causes if cause.name != name)
             base = _fitted(pool.problem, others)
@@ -195,13 +197,26 @@ def _ask_again(
                 found, effects, changed = base, rest, True
                 continue
             changed |= again.best.cause.name != name
-            found = again.best.found
+            found = _fitted(pool.problem, again.best.found.causes) or again.best.found
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects
+
+
+def _bent(pool: CandidatePool, found: Hypothesis, name: str) -> bool:
+    """Return whether the values of a cause depend on those of the others: so may its name."""
+    own = np.array(
+        [found.causes[place].name == name for place, _ in names_of(pool.problem, found.causes)]
+    )
+    if len(own) != len(found.covariance):
+        return True
+    deviations = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
+    correlation = found.covariance / np.outer(deviations, deviations)
+    most = float(np.max(np.abs(correlation[np.ix_(own, ~own)]), initial=0.0))
+    return most > pool.settings.correlated_from
 
 
 def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
@@ -231,7 +246,8 @@ def _ask(
         best = screened[0].likelihood if screened else 0.0
         screened.insert(0, Screened(present, best, np.zeros(present.free), best))
     chosen = within_reach(problem, screened, settings)
-    fitted = refit(problem, base, chosen, pool.progress, pool.workers)
+    known = pool.signatures_of(base)
+    fitted = refit(problem, base, chosen, known, pool.progress, pool.workers)
     fitted += [free for one in fitted if (free := released(problem, one)) is not None]
     members = [
         Member(one, log_evidence(problem, one, base, settings.prior_scales)) for one in fitted

@@ -20,7 +20,6 @@ Limits: at least `LEAST_PERIOD` counts, below which what is rounded off comes ba
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 
@@ -63,7 +62,7 @@ MOST_PERIODS = 2
 """How many of an axis are looked at: each that is tried costs three simulations for every log."""
 
 CHANCE = 0.01
-"""Probability at most that noise alone has one in the logs for finding, or in those for judging."""
+"""Probability at most that noise alone has one in the logs."""
 
 
 def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Cause]:
@@ -76,26 +75,13 @@ def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> l
             problem,
             cause,
             cause.effect.cycle,
-            [period for period, _ in _periods(problem, base, POSITION_ENCODER[cause.axis])],
+            periods(problem, base, POSITION_ENCODER[cause.axis]),
         )
     ]
 
 
-def lasting_periods(
-    finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
-) -> dict[str, float]:
-    """Return by encoder the period, counts, that stands out in logs for finding and judging alike."""
-    lasting: dict[str, float] = {}
-    for name in dict.fromkeys(finding.channel_names(PLANT)):
-        own, others = (_periods(*logs, name) for logs in ((finding, found), (judging, judged)))
-        for (period, travel), (other, its_travel) in itertools.product(own, others):
-            if abs(1.0 / period - 1.0 / other) < 1.0 / min(travel, its_travel):
-                lasting.setdefault(name, period)
-    return lasting
-
-
-def _periods(problem: Problem, base: Hypothesis, name: str) -> list[tuple[float, float]]:
-    """Return periods that stand out in a channel, the most first, each with the travel, counts."""
+def periods(problem: Problem, base: Hypothesis, name: str) -> list[float]:
+    """Return the periods, counts, that stand out in what an encoder leaves over, the most first."""
     logs = list(_logs(problem, base, name))
     if not logs:
         return []
@@ -135,7 +121,7 @@ def _periods(problem: Problem, base: Hypothesis, name: str) -> list[tuple[float,
         apart = all(abs(here - other) > BESIDE / travel for other in chosen)  # no side lobes
         if apart and len(chosen) < MOST_PERIODS:
             chosen.append(float(here))
-    return [(1.0 / here, travel) for here in chosen]
+    return [1.0 / here for here in chosen]
 
 
 def _logs(

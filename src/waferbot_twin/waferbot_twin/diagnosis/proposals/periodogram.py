@@ -19,7 +19,6 @@ out of the median near zero frequency: what has not `LEAST_PERIODS` in the longe
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.stats import gamma
 
-from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -93,22 +91,6 @@ def tones(problem: Problem, base: Hypothesis) -> list[float]:
         if apart and len(chosen) < MOST_TONES:
             chosen.append(tone.frequency_hz)
     return chosen
-
-
-def lasting_tones(
-    finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
-) -> dict[str, float]:
-    """Return by axis the frequency, Hz, that stands out most in all logs, for finding and judging."""
-    own, others = _all_tones(finding, found), _all_tones(judging, judged)
-    lasting: dict[str, float] = {}
-    if not (own and others):
-        return lasting
-    width_hz = max(_width_hz(finding, found), _width_hz(judging, judged))
-    for tone, other in itertools.product(own, others):
-        near = abs(tone.frequency_hz - other.frequency_hz) < width_hz
-        if near and tone.channel == other.channel:
-            lasting.setdefault(AXIS_OF[tone.channel], tone.frequency_hz)
-    return lasting
 
 
 def _all_tones(problem: Problem, base: Hypothesis) -> list[Tone]:

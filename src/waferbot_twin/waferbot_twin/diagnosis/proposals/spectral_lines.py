@@ -20,7 +20,6 @@ from scipy.ndimage import median_filter
 from scipy.signal import spectrogram
 from scipy.stats import chi2
 
-from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ
 from waferbot_twin.residuals.problem import PLANT, Problem
@@ -49,9 +48,6 @@ MOST_LINES = 3
 
 NEAR = 0.06
 """Share of a frequency that the observer, and what other parts give, may move a line."""
-
-ALIKE = 0.02
-"""Share by which the frequency of one line may differ in two logs: it is some spacings wide."""
 
 SAME_RATE = 1e-6
 """Share by which rates of samples may differ that are the same."""
@@ -124,31 +120,6 @@ def lines(problem: Problem, base: Hypothesis, brief: bool = True) -> list[Line]:
         if apart and len(chosen) < MOST_LINES:
             chosen.append(line)
     return chosen
-
-
-def lasting_lines(
-    finding: Problem, found: Hypothesis, judging: Problem, judged: Hypothesis
-) -> dict[str, float]:
-    """
-    Return by axis the frequency, Hz, of the strongest line in logs for finding and for judging alike.
-
-    It may be brief in one of them; in both, two of many pieces of noise that rounding makes uneven may
-    well be alike.
-    """
-    lasting: dict[str, float] = {}
-    own, others = lines(finding, found), lines(judging, judged)
-    for line, other in itertools.product(own, others):
-        width_hz = ALIKE * line.frequency_hz
-        if line.brief or other.brief:
-            width_hz = max(width_hz, line.rate_hz / BRIEF)
-        same = (
-            line.channel == other.channel
-            and abs(line.rate_hz / other.rate_hz - 1.0) < SAME_RATE
-            and abs(line.frequency_hz - other.frequency_hz) <= width_hz
-        )
-        if same and not (line.brief and other.brief):
-            lasting.setdefault(AXIS_OF[line.channel], line.frequency_hz)
-    return lasting
 
 
 def _least_prominence(spectrum: Spectrum, channels: int) -> float:

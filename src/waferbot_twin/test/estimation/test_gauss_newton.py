@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fits of many parameters within their bounds, and the steps that lead there.
+
+Truth of the fits is scipy's bounded least squares.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from waferbot_twin.effects import find
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation import gauss_newton
+from waferbot_twin.estimation.gauss_newton import _widths, fit_causes, moved
+from waferbot_twin.models import load_model
+from waferbot_twin.noise_model.prediction_error import Noise, likelihood
+from waferbot_twin.residuals.problem import PLANT, Cause
+
+SEED = 20
+TIME_S = np.linspace(0.0, 1.0, 400)
+
+
+class Term:
+    """An effect of one parameter that only knows its own name."""
+
+    def __init__(self, name, low, high):
+        self.name = name
+        self._parameters = (Parameter('value', '', 0.0, 1.0, low, high, ''),)
+
+    def parameters(self, variant, axis):
+        return self._parameters
+
+    def apply(self, variant, axis, values):
+        return {**variant, self.name: values['value']}
+
+
+def model(amplitude, rate, offset):
+    return amplitude * np.exp(-rate * TIME_S) + offset
+
+
+class Decay:
+    """A problem whose plant is a decay, measured with noise: residual measured less simulated."""
+
+    def __init__(self, measured):
+        self.nominal = {}
+        self.blocks = {PLANT: [None]}
+        self.measured = measured
+
+    def touched(self, effect, axis):
+        return (PLANT,)
+
+    def residuals(self, variant, block):
+        values = [variant.get(name, 0.0) for name in ('amplitude', 'rate', 'offset')]
+        return [self.measured - model(*values)]
+
+    def noises(self, block):
+        return [Noise(1e-6, 0)]
+
+    def judge(self, residuals):
+        return {PLANT: likelihood(residuals[PLANT], self.noises(PLANT))}
+
+
+def decay_causes(offset_low):
+    return (
+        Cause(Term('amplitude', -100.0, 100.0), 'x', {'value': 1.0}),
+        Cause(Term('rate', 0.0, 50.0), 'x', {'value': 1.0}),
+        Cause(Term('offset', offset_low, 10.0), 'x', {'value': 1.0}),
+    )
+
+
+@pytest.mark.parametrize('offset_low', [-10.0, 0.0])
+def test_a_fit_is_the_bounded_least_squares_one_also_where_a_bound_holds(offset_low):
+    random = np.random.default_rng(SEED)
+    measured = model(20.0, 9.0, -0.5) + 0.05 * random.standard_normal(len(TIME_S))
+    found = fit_causes(Decay(measured), decay_causes(offset_low), rounds=40, enough=1e-9)
+    values = [cause.values['value'] for cause in found.causes]
+    truth = least_squares(
+        lambda x: measured - model(*x),
+        [1.0, 1.0, 1.0],
+        bounds=([-100.0, 0.0, offset_low], [100.0, 50.0, 10.0]),
+        xtol=1e-12,
+        ftol=1e-12,
+    ).x
+    assert values == pytest.approx(truth, rel=1e-3, abs=1e-3)
+    assert (values[2] == 0.0) == (offset_low == 0.0)
+
+
+@pytest.mark.parametrize(
+    ('name', 'shape'),
+    [
+        ('stribeck_friction', 'speed'),
+        ('cold_ferrofluid', 'time_constant'),
+        ('presliding', 'distance'),
+        ('position_dependent_friction', 'cosine'),
+        ('position_dependent_friction', 'sine'),
+    ],
+)
+def test_a_fit_can_move_a_shape_from_where_it_is_typical(name, shape):
+    nominal = Variant.of(load_model('rigid'))
+    cause = Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+    (item,) = (item for item in cause.effect.parameters(nominal, 'x_rotate') if item.name == shape)
+    (width,) = _widths([cause], [(0, item)])
+    assert width > 0.05 * (cause.values[shape] or item.high)
+
+
+def test_settings_that_are_whole_numbers_stay_so():
+    nominal = Variant.of(load_model('rigid'))
+    causes = (
+        Cause(find('wrong_bias'), 'x_rotate', {'difference': 0.0}),
+        Cause(find('wrong_derivative_gain'), 'x_rotate', {'ratio': 1.0}),
+        Cause(find('coulomb_friction'), 'x_rotate', {'friction': 0.0}),
+    )
+    names = [
+        (place, item)
+        for place, cause in enumerate(causes)
+        for item in cause.effect.parameters(nominal, cause.axis)
+    ]
+    bias, derivative, friction = moved(causes, names, np.array([-3199.52, 0.0002, 0.123]))
+    assert bias.values == {'difference': -3200.0}
+    assert derivative.values == {'ratio': 1.0}
+    assert friction.values == {'friction': 0.123}
+
+
+@pytest.mark.parametrize(('promises', 'better'), [(17.0, True), (1.0, False)])
+def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, promises, better):
+    """What the curve of a motor does in proportion to a tenth of it says ten times too much."""
+    effect = find('motor_saturation')
+    variant = Variant.of(load_model('rigid'))
+    cause = Cause(effect, 'y_rotate', {'curvature': 0.0})
+    (parameter,) = effect.parameters(variant, 'y_rotate')
+    true = 1e-3 * parameter.typical
+
+    def simulated(problem, causes):
+        error = causes[0].values['curvature'] / true - 1.0
+        return SimpleNamespace(causes=causes, log_likelihood=-100.0 * error**2)
+
+    monkeypatch.setattr(gauss_newton, 'evaluate', simulated)
+    value = np.array([20.0 * true])
+    matrix = np.array([[promises / value[0]]])
+    linear = gauss_newton.Linear(value, np.eye(1), matrix, matrix @ value)
+    now = simulated(None, (cause,))
+    tried, _ = gauss_newton._step(None, now, [(0, parameter)], linear, gauss_newton.REACH)
+    assert (tried is not None) == better
+    if better:
+        assert tried.log_likelihood > now.log_likelihood

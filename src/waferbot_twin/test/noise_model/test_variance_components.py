@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Noise with possible spectra only: variances are those of known noise, and its filter whitens it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from waferbot_twin.noise_model.motion_basis import motion_basis
+from waferbot_twin.noise_model.variance_components import (
+    CORNERS_HZ,
+    Shapes,
+    averaged_periodogram,
+    prediction_filter,
+    variances,
+)
+
+SEED = 20261210
+RATE_HZ, OBSERVER_HZ, DAMPING = 2250.0, 80.0, 0.7
+READING, INNOVATION, FIRST_FORCE = 0, 1, 2
+"""Places of the shapes."""
+
+
+def shapes(motion=None, count=4500):
+    basis = np.zeros((count, 0)) if motion is None else motion
+    return Shapes(RATE_HZ, OBSERVER_HZ, DAMPING, basis)
+
+
+def noise_of(random, weights, count=4500):
+    """Return noise with these variances: normal lines of the spectrum, transformed back."""
+    power = weights @ shapes().at(np.fft.rfftfreq(count, 1.0 / RATE_HZ))
+    lines = random.normal(size=(2, len(power))) @ np.diag(np.sqrt(0.5 * power * count))
+    lines[1, [0, -1]] = 0.0
+    return np.fft.irfft(lines[0] + 1j * lines[1], count)
+
+
+def weights_of(**parts):
+    found = np.zeros(2 + len(CORNERS_HZ))
+    for name, value in parts.items():
+        found[{'reading': READING, 'white': INNOVATION, 'force': FIRST_FORCE}[name]] = value
+    return found
+
+
+def test_every_shape_has_a_mean_of_one_over_the_band():
+    each = shapes().at(np.linspace(0.0, 0.5 * RATE_HZ, 4001))
+    assert each.mean(axis=1) == pytest.approx(np.ones(len(each)), rel=0.01)
+
+
+def test_an_averaged_periodogram_of_white_noise_is_its_variance_everywhere():
+    print(f'seed {SEED}')
+    white = np.random.default_rng(SEED).normal(3.0, 2.0, 45000)
+    frequency_hz, power, lines = averaged_periodogram(white, RATE_HZ)
+    assert lines.sum() == 22500
+    assert np.all(np.diff(frequency_hz) > 0.0)
+    assert frequency_hz[-1] < 0.5 * RATE_HZ
+    # An average of n exponential lines scatters by 1 / sqrt(n); five of these for the worst band.
+    assert np.all(np.abs(power / 4.0 - 1.0) < 5.0 / np.sqrt(lines))
+
+
+@pytest.mark.parametrize(
+    'parts',
+    [
+        {'white': 1.0},
+        {'reading': 2.0},
+        {'white': 0.5, 'force': 3.0},
+        {'reading': 1.0, 'force': 40.0},
+    ],
+)
+def test_variances_are_those_of_noise_whose_spectrum_is_known(parts):
+    """In the mean of 20 logs, within four standard errors of that mean, and the floor of rivals."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    true = weights_of(**parts)
+    found = np.array([variances(noise_of(random, true), shapes()) for _ in range(20)])
+    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
+    # Shapes that overlap share a little of what another has: no variance can be less than none.
+    high = true[:2] > 0.0
+    for place in np.flatnonzero(high):
+        assert found[:, place].mean() == pytest.approx(
+            true[place], abs=4.0 * error[place] + 0.08 * true.sum() * (true[2] == 0.0)
+        )
+    # Forces with other corners look alike above these: together they have the variance.
+    forces, their_error = found[:, 2:].sum(axis=1).mean(), found[:, 2:].sum(axis=1).std(ddof=1)
+    assert forces == pytest.approx(
+        true[2:].sum(), abs=4.0 * their_error / np.sqrt(20) + 0.05 * true.sum()
+    )
+
+
+def test_the_spectrum_that_is_found_is_that_of_the_noise():
+    """White noise beside coloured force: at every frequency within a few percent of the truth."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    true = weights_of(reading=0.7, white=0.3, force=5.0)
+    grid = shapes().at(np.geomspace(5.0, 1100.0, 60))
+    found = np.mean(
+        [variances(noise_of(random, true), shapes()) @ grid for _ in range(40)], axis=0
+    )
+    assert found == pytest.approx(true @ grid, rel=0.1)
+
+
+@pytest.mark.parametrize('parts', [{'white': 1.0}, {'reading': 1.0}, {'white': 0.2, 'force': 9.0}])
+def test_the_prediction_filter_makes_the_noise_white(parts):
+    """Correlations of what is left, up to the order, are those of white noise."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    count, order = 45000, 24
+    noise = noise_of(random, weights_of(**parts), count)
+    taps = prediction_filter(noise, order, shapes(count=0))
+    assert taps[0] == 1.0
+    left = lfilter(taps, 1.0, noise)[order:]
+    correlation = [left[lag:] @ left[:-lag] / (left @ left) for lag in range(1, order + 1)]
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(count) + 0.01
+    assert left.std() < noise.std() * 1.001
+
+
+def test_what_goes_with_the_motion_is_not_taken_for_noise():
+    """A large friction that the model lacks: the filter is about that of the noise alone."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    time_s = np.arange(4500) / RATE_HZ
+    position = 1e4 * np.sin(2.0 * np.pi * 1.5 * time_s)
+    noise = noise_of(random, weights_of(white=1.0, reading=1.0))
+    wrong = noise + 30.0 * np.sign(np.cos(2.0 * np.pi * 1.5 * time_s))
+    basis = motion_basis(position, RATE_HZ)
+    alone = prediction_filter(noise, 24, shapes(basis))
+    with_it, taken_for_noise = (
+        prediction_filter(wrong, 24, one) for one in (shapes(basis), shapes())
+    )
+    assert np.linalg.norm(with_it - alone) < 0.3 * np.linalg.norm(taken_for_noise - alone)
+
+
+def test_a_residual_of_zeros_has_a_filter():
+    taps = prediction_filter(np.zeros(4500), 24, shapes())
+    assert taps[0] == 1.0
+    assert np.isfinite(taps).all()
