@@ -27,14 +27,8 @@ from typing import Any
 import yaml
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import (
-    new_table,
-    print_json,
-    progress_bar,
-    result_console,
-    say,
-    significant,
-)
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.plain_values import significant
 
 QUICK_GENERATIONS = 3
 STAGES = ('payload', 'y_rotate', 'as_built_payload', 'as_built_y_rotate')

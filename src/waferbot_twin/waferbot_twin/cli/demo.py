@@ -130,7 +130,7 @@ def _diagnose(folder: Path) -> Diagnosis:
 
 
 def _print_diagnosis(diagnosis: Diagnosis, folder: Path) -> None:
-    from waferbot_twin.diagnosis.console_report import print_diagnosis
+    from waferbot_twin.cli.print_diagnosis import print_diagnosis
     from waferbot_twin.thesis import thesis
 
     steps = thesis()['steps']

@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
+    from waferbot_twin.cli.print_diagnosis import print_diagnosis
     from waferbot_twin.cluster import cluster
-    from waferbot_twin.diagnosis.console_report import print_diagnosis
     from waferbot_twin.diagnosis.diagnose import diagnose
     from waferbot_twin.diagnosis.report import as_dict, write
     from waferbot_twin.effects import find

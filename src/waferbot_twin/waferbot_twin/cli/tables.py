@@ -11,14 +11,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from waferbot_twin.cli.console import (
-    new_table,
-    print_json,
-    progress_bar,
-    result_console,
-    say,
-    significant,
-)
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
+from waferbot_twin.plain_values import significant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

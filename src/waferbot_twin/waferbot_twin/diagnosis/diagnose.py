@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -86,7 +87,8 @@ class Diagnosis:
 
     `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent`
     (the model explains the logs). `residual_rms` has by block and channel what the nominal model
-    leaves over.
+    leaves over. `problem` holds the logs as they were compared, estimation data first.
+    `corrections` are parameters a little different from the model's, which are no causes.
     """
 
     nominal: Variant
@@ -103,9 +105,11 @@ class Diagnosis:
     before: Hypothesis
     after: Hypothesis
     channels: dict[str, list[str]]
+    problem: Problem
     tried: int
     runtime_s: float = 0.0
     notes: list[str] = field(default_factory=list)
+    corrections: list[Correction] = field(default_factory=list)
 
 
 def diagnose(
@@ -169,6 +173,7 @@ def diagnose(
         posterior.nothing,
         posterior.found,
         {block: problem.channel_names(block) for block in posterior.nothing.residuals},
+        problem,
         posterior.tried,
         time.perf_counter() - begun_s,
         notes,

@@ -142,6 +142,11 @@ class Variant:
         return not any(self.pmac.values()) and not any(self.copley.values())
 
     @property
+    def file_text(self) -> str:
+        """The text of a file that `load_model_or_machine` reads; of a machine alone, its description."""
+        return self.machine_text if self.is_machine_alone else self.model().text
+
+    @property
     def machine_text(self) -> str:
         """The description as the text of one YAML file."""
         return yaml.dump(dict(self.machine), Dumper=_WithoutAliases, sort_keys=False)
