@@ -130,6 +130,19 @@ def test_a_synthetic_log_tells_its_truth_apart(rigid, tmp_path):
     assert made.truth['model'] == by_name.name == 'rigid'
 
 
+def test_a_parameter_is_identified_and_the_model_has_it(rigid, tmp_path):
+    hidden = ['wrong_proportional_gain:y_linear,ratio=0.8']
+    made = wb.synthesize(rigid, hidden, tmp_path / 'log', 'step', seed=5)
+    result = wb.identify(rigid, [made.log], ['pmac.y_linear.Ixx30'])
+    (row,) = result.to_dataframe().to_dict('records')
+    assert row['parameter'] == 'pmac.y_linear.Ixx30'
+    assert row['identified']
+    assert row['value'] == pytest.approx(0.8 * row['start'], abs=1.0)
+    assert row['low95'] <= row['value'] <= row['high95']
+    assert result.identified_model.variant.i_variable('y_linear', 'Ixx30') == row['value']
+    assert (result.save(tmp_path / 'report') / 'identified.yaml').exists()
+
+
 @pytest.mark.parametrize(
     ('conditions', 'unexplained', 'causes', 'improvement', 'code'),
     [

@@ -225,7 +225,10 @@ def _validation_words(diagnosis: Diagnosis) -> str:
     if best is None:
         return 'The validation data have no axis whose position is known.'
     how = 'closed loop' if best.closed_loop else 'plant, driven by the measured currents'
-    said = f'These logs were not used for the fit. Error is simulated less measured position ({how}); '
+    said = (
+        'For this the causes were fitted to the estimation data alone; their values above are those of '
+        f'all logs. Error is simulated less measured position ({how}); '
+    )
     if best.improvement_percent < HARDLY_PERCENT:
         return said + 'the extended model is not nearer to them than the nominal one.'
     return said + (
