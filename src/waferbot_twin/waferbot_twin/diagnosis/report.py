@@ -202,6 +202,8 @@ def parameter_texts(nominal: Variant, found: FoundCause) -> list[tuple[str, str,
         value = found.cause.values[item.name]
         shown = user_unit(nominal, found.cause.axis, item, value)
         label = 'difference from the model' if item.name == 'ratio' else item.name
+        if item.name == 'difference':  # of an I-variable
+            label = f'{item.meaning.split()[0]}, more than in the model'
         interval = interval_text(found, item, shown)
         rows.append((label.replace('_', ' '), shown.text(value, 4), interval))
     return rows

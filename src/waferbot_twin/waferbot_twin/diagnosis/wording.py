@@ -102,6 +102,8 @@ def user_unit(variant: Variant, axis: str, item: Parameter, value: float) -> Use
         factor, unit = places.current_per_bit(variant, axis), 'A'
     elif unit == 'ms':
         factor, unit = 1e-3, 's'
+    elif unit == '1/cycle':
+        return UserUnit(1.0, 'per electrical cycle')
     prefix, unit = with_prefix(factor * value, unit)
     return UserUnit(factor * prefix, unit)
 
@@ -135,9 +137,14 @@ def size(variant: Variant, cause: Cause) -> str:
         return _single(variant, cause, items[0])
     return ', '.join(
         f'{user_unit(variant, cause.axis, item, cause.values[item.name]).text(cause.values[item.name])} '
-        f'{item.name.replace("_", " ")}'
+        f'{_part(item)}'
         for item in items
     )
+
+
+def _part(item: Parameter) -> str:
+    """Return which part of a cause a parameter is the size of: "forward", "line 1", "along y"."""
+    return item.name.replace('offset_', 'along ').replace('_', ' ')
 
 
 def _amplitudes(cause: Cause, items: Sequence[Parameter]) -> list[float]:
