@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from waferbot_lockstep.contract import AXES
-from waferbot_twin.cli.console import significant
+from waferbot_twin.plain_values import significant
 from waferbot_twin.plot import TITLES, scaled_unit
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.tables import Runs, Table

@@ -129,7 +129,7 @@ def with_noise(
 
 
 def synthesize(
-    model: str,
+    model: str | Variant,
     effects: Sequence[str],
     experiment: str,
     noise_level: float,
@@ -142,12 +142,13 @@ def synthesize(
     """
     Write a log to `out`; return the recorder's closing line and the truth.
 
+    `model` is a name, a file, or a model as data.
     Raises `UserError` if an effect, the model or the experiment is wrong, or the loop is unstable.
     """
     if not 0.0 <= noise_level <= 100.0:
         raise UserError(f'--noise is {noise_level:g}; it must be between 0 and 100')
     random = np.random.default_rng(seed)
-    nominal = Variant.of(load_model(model))
+    nominal = model if isinstance(model, Variant) else Variant.of(load_model(model))
     variant = nominal
     hidden = []
     for text in effects:
@@ -169,7 +170,7 @@ def synthesize(
             progress(twin.tick, ticks)
         line = recorder.close(ticks)
     truth = {
-        'model': model,
+        'model': model if isinstance(model, str) else nominal.name,
         'experiment': experiment,
         'seed': seed,
         'noise': noise_level,

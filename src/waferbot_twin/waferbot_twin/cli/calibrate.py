@@ -31,10 +31,10 @@ from waferbot_twin.cli.console import (
     print_json,
     progress_bar,
     result_console,
-    significant,
 )
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.plain_values import significant
 
 QUICK_GENERATIONS = 3
 STAGES = ('payload', 'y_rotate', 'as_built_payload', 'as_built_y_rotate')

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, result_console, significant
+from waferbot_twin.cli.console import new_table, print_json, result_console
 from waferbot_twin.metrics import (
     FIGURES,
     RISE_RULES,
     percent_difference,
     performance_improvement,
 )
+from waferbot_twin.plain_values import significant
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import AxisResponse, axis_responses, rms_difference
 

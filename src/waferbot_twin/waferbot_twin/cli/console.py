@@ -20,6 +20,8 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from waferbot_twin.plain_values import finite
+
 QUIET_S = 2.0
 """Nothing shorter than this gets a progress bar."""
 
@@ -40,30 +42,12 @@ def print_json(result: Any) -> None:
     print(json.dumps(finite(result), indent=2, sort_keys=True))
 
 
-def finite(value: Any) -> Any:
-    """Return plain values as JSON has them: numbers that are not finite become None."""
-    if isinstance(value, dict):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, float) and not abs(value) < float('inf'):
-        return None
-    return value
-
-
 def new_table(*headings: str) -> Table:
     """Return an empty table: the first column names the row, the others hold numbers."""
     table = Table(box=None, pad_edge=False)
     for place, heading in enumerate(headings):
         table.add_column(heading, justify='right' if place else 'left', no_wrap=True)
     return table
-
-
-def significant(value: float | None, digits: int = 4) -> str:
-    """Return a number with so many significant digits; a dash where there is none."""
-    if value is None or not abs(value) < float('inf'):
-        return '-'
-    return f'{value:.{digits}g}'
 
 
 def say(text: str) -> None:

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -107,30 +106,24 @@ def logs() -> Path:
 
 def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:
     """Diagnose the logs that come with the package against the rigid model."""
-    from waferbot_twin.diagnosis.diagnose import diagnose
+    import waferbot
     from waferbot_twin.diagnosis.report import write
-    from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.models import load_model
-    from waferbot_twin.residuals.load import load_records
 
     say('Logs of the machine as built, against the rigid model: what does it get wrong?')
-    nominal = Variant.of(load_model('rigid'))
-    finding = load_records([logs() / name for name in FINDING], nominal)
-    judging = load_records([logs() / name for name in JUDGING], nominal)
     output = OutputFolder(folder, force=True)
     with progress_bar('diagnosis') as bar:
-        diagnosis = diagnose(
-            nominal,
-            finding,
-            judging,
-            lambda what, done, total: bar(done, total),
-            os.cpu_count() or 1,
+        result = waferbot.diagnose(
+            waferbot.load_model('rigid'),
+            waferbot.load_logs(logs() / name for name in FINDING),
+            waferbot.load_logs(logs() / name for name in JUDGING),
+            progress=lambda what, done, total: bar(done, total),
         )
-    return diagnosis, keep(output, lambda place: write(diagnosis, place))
+    kept = keep(output, lambda place: write(result.details, place))
+    return result.details, kept
 
 
 def _print_diagnosis(diagnosis: Diagnosis, folder: Path | None) -> None:
-    from waferbot_twin.diagnosis.console_report import print_diagnosis
+    from waferbot_twin.cli.print_diagnosis import print_diagnosis
     from waferbot_twin.thesis import thesis
 
     steps = thesis()['steps']

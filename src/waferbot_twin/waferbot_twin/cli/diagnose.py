@@ -4,21 +4,38 @@ Find what the simulation of a measured log gets wrong, and why; extend the model
 
   waferbot diagnose MEASURED... [--validate OTHER...] [--model NAME|FILE] --out DIR
 
-Causes are found in MEASURED and judged by OTHER, logs with another motion; with a single log its
-last part judges. DIR gets report.html (pictures first), report.json and extended.yaml, a model that
-every node and engine loads: waferbot run --model DIR/extended.yaml.
+Causes and their values are those of all logs. What they gain is measured in OTHER, logs with another
+motion, with the causes fitted to MEASURED alone; without OTHER, in the last part of each log. DIR gets
+report.html (what was found, how sure, pictures), report.json and extended.yaml, a model that every node
+and engine loads: waferbot run --model DIR/extended.yaml.
+
+Exit codes: 0 done, 1 an error; with --fail-on, of what is met the first of
+  3  unexplained  something stays unexplained
+  4  cause        a cause was found
+  5  loss         the extended model's RMS error on an axis of a validation log is more than 1 % larger
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import print_json, progress_bar
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
+
+if TYPE_CHECKING:
+    import waferbot
+
+CONDITIONS = {'unexplained': 3, 'cause': 4, 'loss': 5}
+"""What --fail-on can ask for, and the exit code; 2 is that of a wrong command line."""
+
+LOSS_PERCENT = 1.0
+"""Increase of the RMS error from which on it is a loss."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,40 +57,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--cluster', metavar='ADDRESS', help='send the work to the Dask scheduler at this address'
     )
+    parser.add_argument(
+        '--fail-on', action='append', default=[], choices=tuple(CONDITIONS),
+        help='exit with another code if this is so (may be given several times; see above)',
+    )  # fmt: skip
     parser.add_argument('--json', action='store_true', help='print report.json')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
+    import waferbot
+    from waferbot_twin.cli.print_diagnosis import print_diagnosis
     from waferbot_twin.cluster import cluster
-    from waferbot_twin.diagnosis.console_report import print_diagnosis
-    from waferbot_twin.diagnosis.diagnose import diagnose
     from waferbot_twin.diagnosis.report import as_dict, write
-    from waferbot_twin.effects import find
-    from waferbot_twin.effects.variant import Variant
-    from waferbot_twin.models import load_model_or_machine
-    from waferbot_twin.residuals.load import load_records
 
-    for name in options.without:
-        find(name)
     if options.workers < 1:
         raise UserError(f'--workers is {options.workers}; it must be at least 1')
-    nominal = Variant.of(load_model_or_machine(options.model))
-    records = load_records([*options.measured, *options.validate], nominal)
-    estimation, validation = records[: len(options.measured)], records[len(options.measured) :]
+    model = waferbot.load_model(options.model)
+    logs, validation = waferbot.load_logs(options.measured), waferbot.load_logs(options.validate)
     output = OutputFolder(options.out, options.force)
     with cluster(options.cluster) as cores, progress_bar('diagnosis') as bar:
-        diagnosis = diagnose(
-            nominal,
-            estimation,
+        result = waferbot.diagnose(
+            model,
+            logs,
             validation,
-            lambda what, done, total: bar(done, total),
-            cores or options.workers,
-            options.without,
+            without=options.without,
+            workers=cores or options.workers,
+            progress=lambda what, done, total: bar(done, total),
         )
-    kept = keep(output, lambda folder: write(diagnosis, folder))
+    kept = keep(output, lambda folder: write(result.details, folder))
     if options.json:
-        print_json(as_dict(diagnosis))
+        print_json(as_dict(result.details))
     else:
-        print_diagnosis(diagnosis)
-    return kept.tell('report: {}/report.html')
+        print_diagnosis(result.details)
+    return kept.tell('report: {}/report.html') or exit_code(result, options.fail_on)
+
+
+def exit_code(result: waferbot.Diagnosis, conditions: Sequence[str]) -> int:
+    """Return the exit code of the first of `CONDITIONS` that was asked for and is met, else 0."""
+    met = {
+        'unexplained': bool(len(result.unexplained)),
+        'cause': bool(len(result.causes)),
+        'loss': bool((result.gains['improvement_percent'] < -LOSS_PERCENT).any()),
+    }
+    return next((code for name, code in CONDITIONS.items() if name in conditions and met[name]), 0)

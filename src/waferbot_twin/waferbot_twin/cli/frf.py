@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, result_console, significant
+from waferbot_twin.cli.console import new_table, print_json, result_console
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.plain_values import significant
 
 if TYPE_CHECKING:
     from waferbot_twin.frequency_response.compare import Comparison

@@ -16,8 +16,9 @@ from pathlib import Path
 from rich.table import Table
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import print_json, result_console, significant
+from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.logs.measured import MeasuredLog
+from waferbot_twin.plain_values import significant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_twin.cli.console import new_table, print_json, result_console, significant
+from waferbot_twin.cli.console import new_table, print_json, result_console
 from waferbot_twin.metrics import FIGURES, RISE_RULES, rms
+from waferbot_twin.plain_values import significant
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import AxisResponse, axis_responses
 

@@ -19,8 +19,9 @@ from typing import Any
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_twin.cli.console import new_table, print_json, result_console, say, significant
+from waferbot_twin.cli.console import new_table, print_json, result_console, say
 from waferbot_twin.models import load_model
+from waferbot_twin.plain_values import significant
 
 FORMATS = ('.png', '.svg', '.pdf')
 BANDWIDTH_HZ = 30.0

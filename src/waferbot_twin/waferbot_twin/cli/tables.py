@@ -16,10 +16,10 @@ from waferbot_twin.cli.console import (
     print_json,
     progress_bar,
     result_console,
-    significant,
 )
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.plain_values import significant
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

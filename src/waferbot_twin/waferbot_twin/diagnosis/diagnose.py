@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -56,13 +57,12 @@ class FoundCause:
     A cause with what is known of it.
 
     probability     posterior probability that this is the cause, 0 to 1
-    credible_set    the fewest candidates that hold the cause with 95 %, the most probable first,
-    this one
-                    among them
-    intervals_95    ends of the 95 % interval of each parameter; one that was chosen from a few has
-    none log_evidence    ln of the Bayes factor against none of it share           share of what
-    the nominal model leaves over on the cause's axis, mean square in the block
-                    where it shows most, that goes with it alone, 0 to 1
+    credible_set    the fewest candidates that hold the cause with 95 %, the most probable first, this
+                    one among them
+    intervals_95    ends of the 95 % interval of each parameter; one chosen from a few has none
+    log_evidence    ln of the Bayes factor against none of it
+    share           share of what the nominal model leaves over on the cause's axis, mean square in the
+                    block where it shows most, that goes with it alone, 0 to 1
     """
 
     cause: Cause
@@ -86,7 +86,8 @@ class Diagnosis:
 
     `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent`
     (the model explains the logs). `residual_rms` has by block and channel what the nominal model
-    leaves over.
+    leaves over. `problem` holds the logs as they were compared, estimation data first.
+    `corrections` are parameters a little different from the model's, which are no causes.
     """
 
     nominal: Variant
@@ -103,9 +104,11 @@ class Diagnosis:
     before: Hypothesis
     after: Hypothesis
     channels: dict[str, list[str]]
+    problem: Problem
     tried: int
     runtime_s: float = 0.0
     notes: list[str] = field(default_factory=list)
+    corrections: list[Correction] = field(default_factory=list)
 
 
 def diagnose(
@@ -169,6 +172,7 @@ def diagnose(
         posterior.nothing,
         posterior.found,
         {block: problem.channel_names(block) for block in posterior.nothing.residuals},
+        problem,
         posterior.tried,
         time.perf_counter() - begun_s,
         notes,

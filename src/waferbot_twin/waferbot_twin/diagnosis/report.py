@@ -1,32 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The result of a diagnosis: a sentence, JSON, an overlay that every node loads, and a page."""
+"""The result of a diagnosis in files: JSON, an overlay that every node loads, and a page."""
 
 from __future__ import annotations
 
 import dataclasses
-import html
 import math
+from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import matplotlib
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
 
-matplotlib.use('Agg')
-
-import matplotlib.pyplot as plt
-from matplotlib.figure import Figure
-
-from waferbot_twin.cli.console import finite, significant
+from waferbot_twin.diagnosis import figures
+from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.hypothesis import Hypothesis
-from waferbot_twin.html_page import html_page, picture, save_picture
+from waferbot_twin.diagnosis.wording import (
+    BLOCKS,
+    UserUnit,
+    capital,
+    in_words,
+    interval_text,
+    percent_text,
+    probability_text,
+    reading,
+    sentence,
+    title,
+    user_unit,
+)
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.html_page import STYLE, picture, save_picture
+from waferbot_twin.plain_values import finite, significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
-from waferbot_twin.residuals.problem import PLANT, UNITS
 from waferbot_twin.validation.gain_report import (
-    AFTER,
-    BEFORE,
+    HARDLY_PERCENT,
     draw_gains,
     gain_of_axes,
     gain_table,
@@ -34,76 +43,24 @@ from waferbot_twin.validation.gain_report import (
 
 SCHEMA = 2
 
-ROUNDING = 1e-9
-"""RMS residual (counts, A or V) below which nothing is left over."""
-
 NO_INTERVAL = (math.nan, math.nan)
 """The ends of the interval of a parameter that has none: null in JSON."""
 
-HARDLY_PERCENT = 1.0
-"""Improvement of the RMS error below which it is no argument."""
-
-MOST_NAMED = 6
-"""How many causes the sentence names; all of them are in the table."""
-
-
-def sentence(diagnosis: Diagnosis) -> str:
-    """Return in a few words what explains most of the error, how sure that is, and what stays open."""
-    if not diagnosis.causes:
-        if not diagnosis.unexplained:
-            return 'Nothing significant is wrong: the model explains the logs.'
-        return f'No known cause explains {_places_left(diagnosis)}.'
-    first = diagnosis.causes[0]
-    text = f'{in_words(first)} on {TITLES[first.cause.axis]} {_reading(first)}'
-    more = len(diagnosis.causes) - 1
-    if more:
-        text += f', with {more} more {"causes" if more > 1 else "cause"}'
-    text += '.'
-    best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
-    if best is not None and best.improvement_percent >= HARDLY_PERCENT:
-        text += (
-            f' The error in the validation data falls by {best.improvement_percent:.0f} % on '
-            f'{TITLES[best.axis]}.'
-        )
-    if diagnosis.unexplained:
-        text += f' Unexplained: {_places_left(diagnosis)}.'
-    return text
-
-
-def _places_left(diagnosis: Diagnosis) -> str:
-    axes = dict.fromkeys(TITLES[item.axis] for item in diagnosis.unexplained)
-    return 'something on ' + ', '.join(axes)
-
-
-def in_words(found: FoundCause) -> str:
-    """Return a cause with its main value: what an engineer calls it, how large, in its unit."""
-    name = found.cause.effect.name.replace('_', ' ')
-    main = next((item for item in found.parameters if not item.shape), None)
-    if main is None:
-        return name
-    value = f'{significant(found.cause.values[main.name])} {main.unit}'.rstrip()
-    return f'{name} ({main.name} {value})'
-
-
-def _reading(found: FoundCause) -> str:
-    """Return how a probability reads; with what the cause cannot be told from."""
-    if found.probability >= 0.95:
-        return 'is there beyond doubt'
-    others = ', '.join(item.cause.effect.name.replace('_', ' ') for item in found.alternatives)
-    doubt = 'likely' if found.probability >= 0.8 else 'perhaps'
-    rest = f'; these logs cannot tell it from {others}' if others else ''
-    return f'explains it, {doubt} (probability {found.probability:.2f}{rest})'
-
 
 def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return the diagnosis as plain values, as `report.json` has them (schema 2)."""
+    """
+    Return the diagnosis as plain values, as `report.json` has them (schema 2).
+
+    Values are in the unit that stands beside them; shares and probabilities are 0 to 1.
+    """
     return {
         'schema': SCHEMA,
         'model': diagnosis.nominal.name,
         'verdict': diagnosis.verdict,
         'sentence': sentence(diagnosis),
-        'causes': [_cause(found) for found in diagnosis.causes],
+        'causes': [_cause(diagnosis.nominal, found) for found in diagnosis.causes],
         'withdrawn': [cause.name for cause in diagnosis.withdrawn],
+        'corrections': [dataclasses.asdict(item) for item in diagnosis.corrections],
         'unexplained': [dataclasses.asdict(item) for item in diagnosis.unexplained],
         'residual_rms': diagnosis.residual_rms,
         'gain': {
@@ -118,22 +75,13 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def uncertainty(found: FoundCause, parameter: Parameter) -> str:
-    """Return the interval of a parameter as text."""
-    if parameter.name not in found.intervals_95:
-        return '(chosen from a few)' if parameter.name in found.cause.held else '± -'
-    value, (low, high) = found.cause.values[parameter.name], found.intervals_95[parameter.name]
-    below, above = value - low, high - value
-    if math.isclose(below, above, rel_tol=0.01, abs_tol=1e-9 * abs(value)):
-        return f'± {significant(above, 2)}'
-    return f'({significant(low)} to {significant(high)})'
-
-
-def _cause(found: FoundCause) -> dict[str, Any]:
+def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
     return {
         'effect': found.cause.effect.name,
         'axis': found.cause.axis,
         'block': found.cause.effect.block.value,
+        'title': title(found.cause),
+        'words': in_words(nominal, found.cause),
         'summary': found.cause.effect.summary,
         'parameters': {
             item.name: {
@@ -145,12 +93,14 @@ def _cause(found: FoundCause) -> dict[str, Any]:
             for item in found.parameters
         },
         'probability': found.probability,
+        'reading': reading(found.probability),
         'log_evidence': found.log_evidence,
         'share': found.share,
         'credible_set': [
             {
                 'effect': item.cause.effect.name,
                 'axis': item.cause.axis,
+                'title': title(item.cause),
                 'probability': item.probability,
                 'values': item.cause.values,
             }
@@ -162,111 +112,127 @@ def _cause(found: FoundCause) -> dict[str, Any]:
 def write(diagnosis: Diagnosis, folder: Path) -> None:
     """Write `report.json`, `report.html`, `gain.png` and `extended.yaml` into an existing folder."""
     (folder / 'report.json').write_text(as_json(finite(as_dict(diagnosis))) + '\n', 'utf-8')
-    names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
-    header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
-    extended = diagnosis.extended
-    text = extended.machine_text if extended.is_machine_alone else extended.model().text
-    (folder / 'extended.yaml').write_text(header + text, 'utf-8')
+    (folder / 'extended.yaml').write_text(extended_text(diagnosis), 'utf-8')
     (folder / 'report.html').write_text(page(diagnosis), 'utf-8')
     save_picture(draw_gains(diagnosis.gains), folder / 'gain.png')
 
 
+def extended_text(diagnosis: Diagnosis) -> str:
+    """Return the extended model as the text of a file that nodes load; of a machine alone, its own."""
+    names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
+    header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
+    return header + diagnosis.extended.text
+
+
 def page(diagnosis: Diagnosis) -> str:
     """Return the report as one HTML page with its pictures inside."""
-    body = [
-        '<h1>Diagnosis: what the simulation gets wrong</h1>',
-        f'<p class="verdict">{html.escape(sentence(diagnosis))}</p>',
-        *(f'<p>{html.escape(note)}.</p>' for note in diagnosis.notes),
-        '<h2>Error before and after, in logs that were not used for the fit</h2>',
-        picture(draw_gains(diagnosis.gains)),
-        gain_table(diagnosis.gains),
-        '<h2>Where: what each block alone leaves over</h2>',
-        picture(_draw_residuals(diagnosis)),
-        '<h2>Causes</h2>',
-        _cause_table(diagnosis),
-        '<h2>Logs</h2>',
-        f'<p>Estimation: {html.escape(", ".join(diagnosis.estimation))}; validation: '
-        f'{html.escape(", ".join(diagnosis.validation))}. {diagnosis.tried} effects were tried '
-        f'in {diagnosis.runtime_s:.0f} s.</p>',
-    ]
-    return html_page('Diagnosis', body)
-
-
-def _draw_residuals(diagnosis: Diagnosis) -> Figure:
-    """
-    Draw what every block leaves over in the first log for finding, before and after.
-
-    Channels of which nothing but rounding is left have no panel.
-    """
-    before, after = diagnosis.before, diagnosis.after
-    shown = [
-        (block, place, name)
-        for block, channels in diagnosis.residual_rms.items()
-        for place, (name, left) in enumerate(channels.items())
-        if left > ROUNDING
-    ]
-    rows = max(1, -(-len(shown) // 2))
-    figure, panels = plt.subplots(
-        rows, 2, figsize=(12.0, 1.2 + 1.5 * rows), squeeze=False, layout='constrained'
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    for panel, (block, place, name) in zip(panels.T.flat, shown, strict=False):
-        _draw_residual(panel, before, after, block, place)
-        title = f'{block}: {name}{_coarser(diagnosis, block, name)}'
-        panel.set_title(title, fontsize=9, loc='left')
-    for panel in panels.T.flat[len(shown) :]:
-        panel.set_axis_off()
-    for panel in panels[-1]:
-        panel.set_xlabel('servo cycle')
-    if shown:
-        panels[0][0].legend(fontsize=8, loc='upper right')
-    return figure
-
-
-def _coarser(diagnosis: Diagnosis, block: str, name: str) -> str:
-    """Return in which steps the residual of an encoder is that was found to be coarse."""
-    if block != PLANT:
-        return ''
-    before, after = (
-        model.description.encoders[name].errors.coarseness
-        for model in (diagnosis.nominal, diagnosis.extended)
+    template = environment.from_string(
+        files('waferbot_twin.diagnosis').joinpath('report.html').read_text('utf-8')
     )
-    return f' (extended: in steps of {after:g} counts)' if after != before else ''
-
-
-def _draw_residual(
-    panel: Any, before: Hypothesis, after: Hypothesis, block: str, place: int
-) -> None:
-    for hypothesis, colour, label in ((before, BEFORE, 'nominal'), (after, AFTER, 'extended')):
-        panel.plot(hypothesis.residuals[block][place], color=colour, lw=0.7, label=label)
-    panel.set_ylabel(f'[{UNITS[block]}]')
-    panel.grid(alpha=0.3)
-
-
-def _cause_table(diagnosis: Diagnosis) -> str:
-    if not diagnosis.causes:
-        return '<p>None.</p>'
-    rows = ''
-    for found in diagnosis.causes:
-        values = '<br>'.join(
-            f'{item.name} = {significant(found.cause.values[item.name])} '
-            f'{html.escape(item.unit)} {uncertainty(found, item)}'
-            for item in found.parameters
-        )
-        rows += (
-            f'<tr><td>{found.cause.effect.name}<br><small>{html.escape(found.cause.effect.summary)}'
-            f'</small></td><td>{TITLES[found.cause.axis]}</td><td>{values}</td>'
-            f'<td>{100 * found.probability:.0f} %</td><td>{100 * found.share:.0f} %</td>'
-            f'<td>{_set_in_words(found)}</td></tr>'
-        )
-    return (
-        '<table><tr><th>effect</th><th>axis</th><th>parameters (95 %)</th><th>probability</th>'
-        f'<th>share of the error</th><th>credible set</th></tr>{rows}</table>'
+    nominal, forces = diagnosis.nominal, figures.draw_forces(diagnosis)
+    return template.render(
+        style=Markup(STYLE),
+        model=nominal.name,
+        sentence=sentence(diagnosis),
+        notes=[capital(note) for note in diagnosis.notes],
+        causes=[_row(nominal, found) for found in diagnosis.causes],
+        credible=percent_text(diagnosis.settings.credible_level),
+        corrections=[_correction_row(item) for item in diagnosis.corrections],
+        unexplained=[
+            {
+                'axis': TITLES[item.axis],
+                'share': percent_text(item.share),
+                'width': _width(item.share),
+                'block': BLOCKS[item.block],
+                'with_what': item.with_what,
+            }
+            for item in diagnosis.unexplained
+        ],
+        validation_words=_validation_words(diagnosis),
+        # Made by us, of escaped text and numbers.
+        gain_picture=Markup(picture(draw_gains(diagnosis.gains))),
+        gain_table=Markup(gain_table(diagnosis.gains)),
+        first_log=diagnosis.problem.records[0].name,
+        residual_picture=Markup(picture(figures.draw_residuals(diagnosis))),
+        force_picture=Markup(picture(forces)) if forces is not None else '',
+        bins=figures.BINS,
+        estimation=diagnosis.estimation,
+        validation=diagnosis.validation,
+        tried=diagnosis.tried,
+        runtime=f'{diagnosis.runtime_s:.0f}',
     )
 
 
-def _set_in_words(found: FoundCause) -> str:
-    """Return the members of a credible set, each with its probability."""
-    return '<br>'.join(
-        f'{item.cause.effect.name.replace("_", " ")} ({item.cause.axis}) {100 * item.probability:.0f} %'
-        for item in found.credible_set
+def _width(share: float) -> str:
+    """Return how long the bar of a share is, in percent of its track."""
+    return f'{100.0 * min(max(share, 0.0), 1.0):.1f}'
+
+
+def _row(nominal: Variant, found: FoundCause) -> dict[str, Any]:
+    return {
+        'share': percent_text(found.share),
+        'width': _width(found.share),
+        'words': capital(in_words(nominal, found.cause)),
+        'summary': found.cause.effect.summary,
+        'reading': reading(found.probability),
+        'probability': probability_text(found.probability),
+        'parameters': list(_parameter_rows(nominal, found)),
+        'alternatives': [
+            {
+                'words': in_words(nominal, item.cause),
+                'probability': probability_text(item.probability),
+            }
+            for item in found.alternatives
+        ],
+    }
+
+
+def _parameter_rows(nominal: Variant, found: FoundCause) -> Iterator[dict[str, str]]:
+    for label, value, interval in parameter_texts(nominal, found):
+        yield {'label': label, 'value': value, 'interval': interval}
+
+
+def parameter_texts(nominal: Variant, found: FoundCause) -> list[tuple[str, str, str]]:
+    """Return name, value and 95 % interval of every parameter of a cause, in the user's units."""
+    rows = []
+    for item in found.parameters:
+        value = found.cause.values[item.name]
+        shown = user_unit(nominal, found.cause.axis, item, value)
+        label = 'difference from the model' if item.name == 'ratio' else item.name
+        if item.name == 'difference':  # of an I-variable
+            label = f'{item.meaning.split()[0]}, more than in the model'
+        interval = interval_text(found, item, shown)
+        rows.append((label.replace('_', ' '), shown.text(value, 4), interval))
+    return rows
+
+
+def _correction_row(item: Correction) -> dict[str, str]:
+    factor, unit = with_prefix(max(abs(item.nominal), abs(item.found)), item.unit)
+    shown = UserUnit(factor, unit)
+    low, high = significant(shown.of(item.low)), significant(shown.of(item.high))
+    return {
+        'parameter': item.parameter,
+        'nominal': shown.text(item.nominal, 4),
+        'found': shown.text(item.found, 4),
+        'interval': f'{low} to {high} {unit}'.rstrip(),
+    }
+
+
+def _validation_words(diagnosis: Diagnosis) -> str:
+    """Return what the largest gain is, or that there is none."""
+    best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
+    if best is None:
+        return 'The validation data have no axis whose position is known.'
+    how = 'closed loop' if best.closed_loop else 'plant, driven by the measured currents'
+    said = (
+        'For this the causes were fitted to the estimation data alone; their values above are those of '
+        f'all logs. Error is simulated less measured position ({how}); '
+    )
+    if best.improvement_percent < HARDLY_PERCENT:
+        return said + 'the extended model is not nearer to them than the nominal one.'
+    return said + (
+        f'its RMS falls most on {TITLES[best.axis]}, by {best.improvement_percent:.0f} %.'
     )

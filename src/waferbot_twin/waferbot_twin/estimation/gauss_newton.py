@@ -75,9 +75,9 @@ def fit_causes(
     """
     Return the causes with the values that make the logs most likely.
 
-    The fit ends when a round gains less than `enough` in ln L. `known` are signatures of the first causes
-    that were found near here: they are not found anew in every round (chord method). Raises `UserError` if the simulation
-    blows up where the fit begins.
+    The fit ends when a round gains less than `enough` in ln L. `known` are signatures of the first
+    causes that were found near here: they are not found anew in every round (chord method). Raises
+    `UserError` if the simulation blows up where the fit begins.
     """
     now = evaluate(problem, causes)
     names = names_of(problem, causes)

@@ -17,10 +17,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.estimation.residual_curves import BinnedMeans
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.least_squares import AxisFit, LeastSquares, LogError
+from waferbot_twin.plain_values import finite, significant
 from waferbot_twin.recording.writer import as_json
 
 SCHEMA = 1

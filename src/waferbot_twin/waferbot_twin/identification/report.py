@@ -16,11 +16,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from waferbot_twin.cli.console import finite, significant
 from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.conditioning import Combination, in_words
 from waferbot_twin.identification.identify import Identification
+from waferbot_twin.plain_values import finite, significant
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.validation.gain_report import (
     AFTER,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from waferbot_twin.cli.console import finite, significant
+from waferbot_twin.plain_values import finite, significant
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.suggestion.separation import TELLS_APART
 from waferbot_twin.suggestion.suggest import Rated, Suggestion

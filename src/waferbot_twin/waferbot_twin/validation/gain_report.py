@@ -16,8 +16,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from waferbot_twin.envelope import draw_signal
+from waferbot_twin.plain_values import with_prefix
 from waferbot_twin.plot import TITLES, scaled_unit
 from waferbot_twin.validation.gain import AxisGain
+
+HARDLY_PERCENT = 1.0
+"""Change of the RMS error below which it is as it was."""
 
 BEFORE, AFTER, MEASURED = '#c46a1b', '#1f5fa8', '#222222'
 
@@ -31,7 +36,7 @@ def gain_of_axes(gains: Sequence[AxisGain]) -> dict[str, Any]:
 
 
 def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
-    """Return the gain of one axis over all judging logs."""
+    """Return the gain of one axis over all validation logs."""
     before = math.sqrt(float(np.mean([item.rms_before**2 for item in items])))
     after = math.sqrt(float(np.mean([item.rms_after**2 for item in items])))
     improvement = 100.0 * (before - after) / before if before > 0.0 else 0.0
@@ -52,7 +57,7 @@ def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
 
 
 def draw_gains(gains: Sequence[AxisGain]) -> Figure:
-    """Draw positions and errors of both models for every axis of the first judging log."""
+    """Draw positions and errors of both models for every axis of the first validation log."""
     log = gains[0].log if gains else ''
     items = [item for item in gains if item.log == log]
     figure, panels = plt.subplots(
@@ -70,9 +75,7 @@ def draw_gains(gains: Sequence[AxisGain]) -> Figure:
         panels[0][column].plot(
             item.time_s, item.measured * factor, color=MEASURED, lw=1.0, ls=':', label='measured'
         )
-        panels[0][column].set_title(
-            f'{TITLES[item.axis]}: {item.improvement_percent:.0f} % better'
-        )
+        panels[0][column].set_title(f'{TITLES[item.axis]}: {_how_much(item)}')
         panels[0][column].set_ylabel(f'position [{unit}]')
         panels[0][column].legend(fontsize=8, loc='best')
         factor, unit = scaled_unit(item.error_before, item.unit)
@@ -80,7 +83,7 @@ def draw_gains(gains: Sequence[AxisGain]) -> Figure:
             (item.error_before, BEFORE, f'nominal, RMS {item.rms_before * factor:.3g} {unit}'),
             (item.error_after, AFTER, f'extended, RMS {item.rms_after * factor:.3g} {unit}'),
         ):
-            panels[1][column].plot(item.time_s, error * factor, color=colour, lw=0.8, label=label)
+            draw_signal(panels[1][column], item.time_s, error * factor, colour, label)
         panels[1][column].set_ylabel(f'simulated - measured [{unit}]')
         panels[1][column].set_xlabel('time [s]')
         panels[1][column].legend(fontsize=8, loc='best')
@@ -90,15 +93,25 @@ def draw_gains(gains: Sequence[AxisGain]) -> Figure:
     return figure
 
 
+def _how_much(item: AxisGain) -> str:
+    percent = item.improvement_percent
+    if abs(percent) < HARDLY_PERCENT:
+        return 'as before'
+    return f'{abs(percent):.0f} % {"better" if percent > 0.0 else "worse"}'
+
+
 def gain_table(gains: Sequence[AxisGain]) -> str:
     """Return the gain of every log and axis as a table of HTML."""
-    rows = ''.join(
-        f'<tr><td>{html.escape(item.log)}, {TITLES[item.axis]}</td>'
-        f'<td>{item.rms_before:.4g} {item.unit}</td><td>{item.rms_after:.4g} {item.unit}</td>'
-        f'<td>{item.improvement_percent:.1f} %</td></tr>'
-        for item in gains
-    )
+    rows = ''
+    for item in gains:
+        factor, unit = with_prefix(max(item.rms_before, item.rms_after), item.unit)
+        rows += (
+            f'<tr><td>{html.escape(item.log)}, {TITLES[item.axis]}</td>'
+            f'<td>{factor * item.rms_before:.4g} {unit}</td>'
+            f'<td>{factor * item.rms_after:.4g} {unit}</td>'
+            f'<td>{item.improvement_percent:.1f} %</td></tr>'
+        )
     return (
         '<table><tr><th>log, axis</th><th>RMS error, nominal</th><th>RMS error, extended</th>'
-        f'<th>improvement (6.1)</th></tr>{rows}</table>'
+        f'<th>improvement</th></tr>{rows}</table>'
     )

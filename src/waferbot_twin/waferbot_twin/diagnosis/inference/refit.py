@@ -79,8 +79,8 @@ def refit(
     """
     Return the causes of `base` with each of the candidates behind them, all fitted together.
 
-    In the order of the candidates; those with which the simulation blows up are left out. `known` are the
-    signatures of the causes of `base`.
+    In the order of the candidates; those with which the simulation blows up are left out. `known` are
+    the signatures of the causes of `base`.
     """
     pool = Parallel(n_jobs=workers, return_as='generator', batch_size=1)
     found = []

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of a diagnosis: what is on it, in which order, and that no text of a user becomes markup."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.diagnosis import figures, report
+from waferbot_twin.diagnosis.corrections import Correction
+from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.unexplained import Unexplained
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.envelope import MOST_SAMPLES, STRETCHES, envelope
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.validation.gain import gains
+
+EVIL = '<script>alert("l")</script>'
+FRICTION_NM = 1.5
+
+
+@pytest.fixture(scope='module')
+def diagnosis():
+    """Return a diagnosis as it should come of a log with Coulomb friction on X-Rotate."""
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('coulomb_friction')
+    cause = Cause(effect, 'x_rotate', {'friction': FRICTION_NM})
+    extended = apply_all(nominal, [cause])
+    timing = Timing()
+    twin = Twin.of(extended.model(), timing, load_experiment('wafer_exchange'))
+    record = record_of_signals(EVIL, twin.advance(timing.ticks(1.5)))
+    problem = Problem(nominal, [record])
+    before, after = evaluate(problem), evaluate(problem, (cause,))
+    other = Cause(find('viscous_friction'), 'x_rotate', {'damping': 0.3})
+    parameters = effect.parameters(nominal, 'x_rotate')
+    members = Alternative(cause, 0.9), Alternative(other, 0.08)
+    found = FoundCause(cause, parameters, {'friction': (1.4, 1.6)}, 0.9, members, 50.0, 0.75)
+    return Diagnosis(
+        nominal,
+        extended,
+        'partly',
+        [found],
+        [],
+        [Unexplained('y_linear', 'plant', 0.2, 'its speed')],
+        gains(nominal, extended, [record]),
+        {},
+        [EVIL],
+        [EVIL],
+        Settings(),
+        before,
+        after,
+        {},
+        problem,
+        164,
+        12.0,
+        [f'a note on {EVIL}'],
+        [Correction('mass of the carriage', 'kg', 40.0, 41.0, 40.5, 41.5)],
+    )
+
+
+class Text(HTMLParser):
+    """The tags and the text of a page."""
+
+    def __init__(self):
+        super().__init__()
+        self.tags, self.text = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope='module')
+def page(diagnosis):
+    return report.page(diagnosis)
+
+
+@pytest.fixture(scope='module')
+def parsed(page):
+    parser = Text()
+    parser.feed(page)
+    return parser
+
+
+def test_names_of_logs_are_text_and_no_markup(page, parsed):
+    assert 'script' not in parsed.tags
+    assert EVIL not in page
+    assert EVIL in ''.join(parsed.text)
+
+
+def test_it_needs_no_other_file(page, parsed):
+    assert 'http' not in page
+    assert 'link' not in parsed.tags
+    assert page.count('src="data:image/png;base64,') == parsed.tags.count('img') == 3
+
+
+def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
+    text = ' '.join(parsed.text)
+    order = [
+        'Coulomb friction on X-Rotate (1.5 Nm,',
+        'Causes',
+        '1.4 to 1.6 Nm',
+        'viscous friction, 300 mNm s/rad on X-Rotate',
+        'Small corrections',
+        '40.5 to 41.5 kg',
+        'What stays unexplained',
+        'its speed',
+        'Error before and after',
+        'What each part of the loop leaves over',
+        'Residual force over speed and position',
+    ]
+    places = [text.find(words) for words in order]
+    assert -1 not in places, dict(zip(order, places, strict=True))
+    assert places == sorted(places)
+
+
+def test_nothing_is_said_in_the_controllers_own_units(parsed):
+    text = ' '.join(parsed.text)
+    assert 'servo cycle' not in text
+    assert 'counts' not in text
+
+
+def test_residual_force_over_speed_is_the_friction(diagnosis):
+    forces = figures.residual_forces(diagnosis.problem, diagnosis.before, 'x_rotate')
+    speed = forces[0]
+    fast = np.abs(speed.at) > 0.3 * np.abs(speed.at).max()
+    # 8 %: the inertia is that at home, and the observer needs some ms after each reversal.
+    np.testing.assert_allclose(
+        speed.mean[fast], -FRICTION_NM * np.sign(speed.at[fast]), rtol=0.0, atol=0.08 * FRICTION_NM
+    )
+    after = figures.residual_forces(diagnosis.problem, diagnosis.after, 'x_rotate')[0]
+    assert np.abs(after.mean).max() < 0.05 * FRICTION_NM
+
+
+def test_json_has_what_the_page_says(diagnosis, tmp_path):
+    report.write(diagnosis, tmp_path)
+    content = json.loads((tmp_path / 'report.json').read_text('utf-8'))
+    assert content['schema'] == 2
+    cause = content['causes'][0]
+    assert cause['parameters']['friction'] == {
+        'value': FRICTION_NM, 'unit': 'Nm', 'low95': 1.4, 'high95': 1.6,
+    }  # fmt: skip
+    assert cause['reading'] == 'likely'
+    assert [item['probability'] for item in cause['credible_set']] == [0.9, 0.08]
+    assert content['corrections'][0]['found'] == 41.0
+    assert load_model(str(tmp_path / 'extended.yaml')).name == 'extended'
+
+
+def test_an_envelope_loses_no_peak():
+    values = np.zeros(10 * MOST_SAMPLES)
+    values[[0, 12345, len(values) - 1]] = 3.0, -2.0, 5.0
+    time_s, least, greatest = envelope(np.arange(len(values)) / 1000.0, values)
+    assert len(time_s) == len(least) == len(greatest) == STRETCHES
+    assert greatest[0] == 3.0
+    assert greatest[-1] == 5.0
+    assert least.min() == -2.0
+    assert time_s[np.argmin(least)] == pytest.approx(12.345, abs=0.03)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first sentence of a report: short, and its probability is said as it is."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import pytest
+
+from waferbot_twin.diagnosis.diagnose import Alternative, FoundCause
+from waferbot_twin.diagnosis.inference.unexplained import Unexplained
+from waferbot_twin.diagnosis.report import parameter_texts
+from waferbot_twin.diagnosis.wording import LONGEST_SENTENCE, in_words, sentence, size
+from waferbot_twin.effects import find, library
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause
+
+LEFT_OVER = [
+    Unexplained(axis, 'plant', 0.1, 'its speed') for axis in ('y_linear', 'x_rotate', 'y_rotate')
+]
+
+
+@pytest.fixture(scope='module')
+def nominal():
+    return Variant.of(load_model('rigid'))
+
+
+@pytest.fixture(scope='module')
+def every_cause(nominal):
+    return [
+        Cause(effect, axis, effect.typical(nominal, axis))
+        for effect in library().values()
+        for axis in effect.axes(nominal)
+    ]
+
+
+def found(nominal, cause, probability=0.87, share=0.42, others=()):
+    parameters = cause.effect.parameters(nominal, cause.axis)
+    members = (Alternative(cause, probability), *(Alternative(other, 0.1) for other in others))
+    return FoundCause(cause, parameters, {}, probability, members, 10.0, share)
+
+
+def diagnosis(nominal, causes, unexplained=()):
+    return SimpleNamespace(nominal=nominal, causes=causes, unexplained=list(unexplained))
+
+
+def friction(value=1.5):
+    return Cause(find('coulomb_friction'), 'x_rotate', {'friction': value})
+
+
+@pytest.mark.parametrize('number', [1, 2, 12])
+@pytest.mark.parametrize('unexplained', [[], LEFT_OVER], ids=['nothing_left', 'three_axes_left'])
+def test_is_short_whatever_is_found(nominal, every_cause, number, unexplained):
+    for place, cause in enumerate(every_cause):
+        others = every_cause[place - 3 : place]
+        causes = [found(nominal, cause, 0.7, 0.42, others)] * number
+        told = sentence(diagnosis(nominal, causes, unexplained))
+        assert len(told.split()) <= LONGEST_SENTENCE, told
+        assert told.startswith(cause.effect.title[0].upper() + cause.effect.title[1:])
+        assert '42 % of the error' in told
+        assert 'probability 0.70' in told
+        assert ('unexplained' in told) == bool(unexplained)
+
+
+def test_says_what_where_how_large_and_how_sure(nominal):
+    told = sentence(diagnosis(nominal, [found(nominal, friction(), 0.87, 0.42)]))
+    assert re.fullmatch(
+        r'Coulomb friction on X-Rotate \(1\.5 Nm, \d+ % of rated torque\) explains 42 % of the error '
+        r'there, likely \(probability 0\.87\)\.',
+        told,
+    )
+
+
+@pytest.mark.parametrize(
+    ('probability', 'said'),
+    [
+        (1.0, 'beyond doubt (probability above 0.99)'),
+        (0.95, 'beyond doubt (probability 0.95)'),
+        (0.9, 'likely (probability 0.90)'),
+        (0.8, 'likely (probability 0.80)'),
+        (0.62, 'perhaps (probability 0.62)'),
+        (0.001, 'perhaps (probability below 0.01)'),
+    ],
+)
+def test_a_probability_is_said_as_it_is(nominal, probability, said):
+    assert said in sentence(diagnosis(nominal, [found(nominal, friction(), probability)]))
+
+
+def test_one_that_may_be_another_says_which(nominal):
+    other = Cause(find('stribeck_friction'), 'x_rotate', {'breakaway': 1.0, 'speed': 0.01})
+    doubtful = sentence(diagnosis(nominal, [found(nominal, friction(), 0.6, 0.4, [other])]))
+    assert 'else Stribeck friction on X-Rotate' in doubtful
+    sure = sentence(diagnosis(nominal, [found(nominal, friction(), 0.96, 0.4, [other])]))
+    assert 'Stribeck' not in sure
+
+
+def test_without_causes_the_model_explains_the_logs_or_nothing_does(nominal):
+    assert sentence(diagnosis(nominal, [])).startswith('The model explains these logs')
+    told = sentence(diagnosis(nominal, [], LEFT_OVER[:1]))
+    assert told.startswith('No known cause explains these logs')
+    assert 'Y-Linear' in told
+
+
+def test_no_unit_is_one_of_the_controllers_own(nominal, every_cause):
+    for cause in every_cause:
+        rows = parameter_texts(nominal, found(nominal, cause))
+        told = ' '.join([size(nominal, cause), *(value for _, value, _ in rows)])
+        assert not re.search(r'\b(counts?|cycles|bits|interrupts)\b', told), told
+
+
+@pytest.mark.parametrize(
+    ('effect', 'axis', 'values', 'said'),
+    [
+        ('force_constant', 'y_linear', {'ratio': 0.95}, '5 % below the model'),
+        ('cogging', 'y_linear', {'cosine_1': 3.0, 'sine_1': -4.0}, 'amplitude 5 N'),
+        ('command_delay', 'y_linear', {'delay': 0.25}, '250 µs'),
+        ('wrong_bias', 'y_linear', {'difference': -12.0}, 'Ixx29 -12'),
+        ('constant_force', 'y_linear', {'force': -4.4}, '-4.4 N'),
+    ],
+)
+def test_sizes_in_the_users_units(nominal, effect, axis, values, said):
+    one = find(effect)
+    neutral = {item.name: item.neutral for item in one.parameters(nominal, axis)}
+    assert said in in_words(nominal, Cause(one, axis, {**neutral, **values}))

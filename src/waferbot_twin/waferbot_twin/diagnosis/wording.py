@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A diagnosis in words: causes as an engineer says them, in units of the user's machine.
+
+A cause is its title, its size on the axis and the axis: "Coulomb friction, 1.5 Nm, 8 % of rated torque
+on X-Rotate". Counts become positions, cycles of the controller times, bits of its output currents; a
+cosine and a sine become one amplitude. The probability is said as it is; what it reads as is
+
+    beyond doubt    0.95 and above
+    likely          0.8 and above
+    perhaps         below
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from waferbot_lockstep.timing import Timing
+from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
+from waferbot_twin.diagnosis.inference.unexplained import Unexplained
+from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.machine import POSITION_ENCODER
+from waferbot_twin.plain_values import significant, with_prefix
+from waferbot_twin.plot import TITLES
+from waferbot_twin.residuals.problem import Cause
+
+READINGS = ((0.95, 'beyond doubt'), (0.8, 'likely'), (0.0, 'perhaps'))
+"""How a probability reads, from which one on."""
+
+LONGEST_SENTENCE = 40
+"""Words of the first sentence of a report, at most."""
+
+BLOCKS = {
+    'plant': 'motion of the axis (mechanics)',
+    'controller': 'current command of the controller',
+    'amplifier': 'voltage of the amplifier',
+    'windings': 'current of the motor windings',
+    'current loop': 'current of the drive',
+}
+"""The blocks by what is compared in each."""
+
+
+@dataclass(frozen=True)
+class UserUnit:
+    """How values of a parameter are shown: `factor` times the value, `offset` added, in `unit`."""
+
+    factor: float
+    unit: str
+    offset: float = 0.0
+
+    def of(self, value: float) -> float:
+        """Return a value as it is shown."""
+        return self.factor * (value + self.offset)
+
+    def text(self, value: float, digits: int = 3) -> str:
+        """Return a value with its unit."""
+        return f'{significant(self.of(value), digits)} {self.unit}'.rstrip()
+
+
+def reading(probability: float) -> str:
+    """Return what a probability reads as."""
+    return next(words for least, words in READINGS if probability >= least)
+
+
+def probability_text(probability: float) -> str:
+    """Return a probability with two decimals; the ends, which rounding would make certain, as bounds."""
+    if probability >= 0.995:
+        return 'above 0.99'
+    if 0.0 < probability < 0.005:
+        return 'below 0.01'
+    return f'{probability:.2f}'
+
+
+def percent_text(share: float) -> str:
+    """Return a share of 0 to 1 in percent, whole where it is above 1 %."""
+    if 0.0 < share < 0.01:
+        return 'below 1 %'
+    return f'{100.0 * share:.0f} %'
+
+
+def user_unit(variant: Variant, axis: str, item: Parameter, value: float) -> UserUnit:
+    """
+    Return how a parameter is shown on an axis.
+
+    Ratios to the model become a difference from it in percent, other shares percent; what the library
+    has in counts, servo interrupts or bits of the controller's output is in m or rad, s or A.
+    """
+    factor, unit = 1.0, item.unit
+    if not unit and item.name == 'ratio':
+        return UserUnit(100.0, '%', -1.0)
+    if not unit and _is_share(item):
+        return UserUnit(100.0, '%')
+    if unit == 'counts':
+        factor, unit = metres_per_count(variant, axis)
+    elif unit == 'servo interrupts':
+        factor, unit = 1.0 / Timing().servo_hz, 's'
+    elif unit == 'DAC bits':
+        factor, unit = places.current_per_bit(variant, axis), 'A'
+    elif unit == 'ms':
+        factor, unit = 1e-3, 's'
+    elif unit == '1/cycle':
+        return UserUnit(1.0, 'per electrical cycle')
+    prefix, unit = with_prefix(factor * value, unit)
+    return UserUnit(factor * prefix, unit)
+
+
+def _is_share(item: Parameter) -> bool:
+    """Return whether a number without a unit is a share; the others are I-variables and orders."""
+    return item.name not in ('difference', 'order')
+
+
+def metres_per_count(variant: Variant, axis: str) -> tuple[float, str]:
+    """Return how far an axis goes in a count of its encoder, and the unit of that: m or rad."""
+    encoder = variant.base.description.encoders.get(POSITION_ENCODER[axis])
+    if encoder is None:
+        return 1.0, 'counts'
+    return 1.0 / encoder.counts_per_unit, places.length_unit(variant, axis)
+
+
+def title(cause: Cause) -> str:
+    """Return a cause without its size: "backlash on Y-Rotate"."""
+    return f'{cause.effect.title} on {TITLES[cause.axis]}'
+
+
+def size(variant: Variant, cause: Cause) -> str:
+    """Return how large a cause is, with units; empty where a number would say nothing."""
+    items = [item for item in cause.effect.parameters(variant, cause.axis) if not item.shape]
+    amplitudes = _amplitudes(cause, items)
+    if amplitudes:
+        largest = max(amplitudes)
+        return f'amplitude {user_unit(variant, cause.axis, items[0], largest).text(largest)}'
+    if len(items) == 1:
+        return _single(variant, cause, items[0])
+    return ', '.join(
+        f'{user_unit(variant, cause.axis, item, cause.values[item.name]).text(cause.values[item.name])} '
+        f'{_part(item)}'
+        for item in items
+    )
+
+
+def _part(item: Parameter) -> str:
+    """Return which part of a cause a parameter is the size of: "forward", "line 1", "along y"."""
+    return item.name.replace('offset_', 'along ').replace('_', ' ')
+
+
+def _amplitudes(cause: Cause, items: Sequence[Parameter]) -> list[float]:
+    """Return the amplitude of every harmonic of a cause that has cosines and sines."""
+    return [
+        math.hypot(cause.values[item.name], cause.values[other])
+        for item in items
+        if item.name.startswith('cosine')
+        and (other := item.name.replace('cosine', 'sine')) in cause.values
+    ]
+
+
+def _single(variant: Variant, cause: Cause, item: Parameter) -> str:
+    value = cause.values[item.name]
+    shown = user_unit(variant, cause.axis, item, value)
+    if item.name == 'ratio':
+        side = 'above' if shown.of(value) > 0.0 else 'below'
+        return f'{significant(abs(shown.of(value)), 3)} % {side} the model'
+    if item.name == 'difference':
+        return f'{item.meaning.split()[0]} {value:+.4g}'
+    text = shown.text(value)
+    percent = _of_rated(variant, cause, item)
+    return f'{text}, {percent}' if percent else text
+
+
+def _of_rated(variant: Variant, cause: Cause, item: Parameter) -> str:
+    """Return a force on the axis, or of its motor, in percent of the rated one; else nothing."""
+    value, axis = abs(cause.values[item.name]), cause.axis
+    at_motor = 'at the motor' in item.meaning
+    unit = (places.motor_force_unit if at_motor else places.force_unit)(variant, axis)
+    # What holds at most (a belt) is no load of the motor.
+    if item.unit != unit or value == 0.0 or item.neutral != 0.0:
+        return ''
+    rated = (places.rated_motor_force if at_motor else places.rated_force)(variant, axis)
+    return f'{significant(100.0 * value / rated, 2)} % of rated {rated_word(item.unit)}'
+
+
+def rated_word(unit: str) -> str:
+    """Return what is rated: force in N, torque in Nm."""
+    return 'torque' if unit == 'Nm' else 'force'
+
+
+def in_words(variant: Variant, cause: Cause) -> str:
+    """Return a cause with its size on the axis."""
+    told = size(variant, cause)
+    return f'{cause.effect.title}, {told} on {TITLES[cause.axis]}' if told else title(cause)
+
+
+def capital(text: str) -> str:
+    """Return a text with a capital letter first."""
+    return text[:1].upper() + text[1:]
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """
+    Return in at most `LONGEST_SENTENCE` words what explains most of the error and how sure that is.
+
+    The share of the error explained, the probability and what stays unexplained are always said. What
+    does not fit of the rest (the size, what else it may be, how many other causes) is left to the table.
+    """
+    left = _left_over(diagnosis.unexplained)
+    if not diagnosis.causes:
+        if not diagnosis.unexplained:
+            return 'The model explains these logs: no cause and nothing unexplained was found.'
+        return f'No known cause explains these logs: {left}.'
+    first = diagnosis.causes[0]
+    wordings: list[Callable[[], str]] = [
+        lambda: _first(diagnosis, first, True) + _other(first) + _more(diagnosis),
+        lambda: _first(diagnosis, first, True) + _more(diagnosis),
+        lambda: _first(diagnosis, first, False) + _more(diagnosis),
+        lambda: _first(diagnosis, first, False),
+    ]
+    for wording in wordings:
+        text = wording() + (f'; {left}.' if left else '.')
+        if len(text.split()) <= LONGEST_SENTENCE:
+            break
+    return text
+
+
+def _first(diagnosis: Diagnosis, first: FoundCause, with_size: bool) -> str:
+    cause = first.cause
+    told = size(diagnosis.nominal, cause) if with_size else ''
+    what = f'{capital(title(cause))} ({told})' if told else capital(title(cause))
+    return (
+        f'{what} explains {percent_text(first.share)} of the error there, '
+        f'{reading(first.probability)} (probability {probability_text(first.probability)})'
+    )
+
+
+def _other(first: FoundCause) -> str:
+    if not first.alternatives or first.probability >= READINGS[0][0]:
+        return ''
+    return f'; else {title(first.alternatives[0].cause)}'
+
+
+def _more(diagnosis: Diagnosis) -> str:
+    more = len(diagnosis.causes) - 1
+    return f'; {more} more {"causes" if more > 1 else "cause"} below' if more else ''
+
+
+def _left_over(unexplained: Sequence[Unexplained]) -> str:
+    if not unexplained:
+        return ''
+    axes = list(dict.fromkeys(TITLES[item.axis] for item in unexplained))
+    return f'something on {" and ".join(axes)} stays unexplained'
+
+
+def interval_text(found: FoundCause, item: Parameter, shown: UserUnit) -> str:
+    """Return the 95 % interval of a parameter as it is shown; how it came about where it has none."""
+    if item.name not in found.intervals_95:
+        return 'chosen from a few' if item.name in found.cause.held else 'not known'
+    low, high = sorted(shown.of(end) for end in found.intervals_95[item.name])
+    return f'{significant(low)} to {significant(high)} {shown.unit}'.rstrip()
