@@ -71,15 +71,17 @@ def fit_causes(
     workers: int = 1,
     enough: float = ENOUGH,
     known: Sequence[Signature] = (),
+    roughly: float = 0.0,
 ) -> Hypothesis:
     """
     Return the causes with the values that make the logs most likely.
 
-    The fit ends when a round gains less than `enough` in ln L. `known` are signatures of the first
+    The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all that
+    gained. `known` are signatures of the first
     causes that were found near here: they are not found anew in every round (chord method). Raises
     `UserError` if the simulation blows up where the fit begins.
     """
-    now = evaluate(problem, causes)
+    now = first = evaluate(problem, causes)
     names = names_of(problem, causes)
     reach = REACH
     for _ in range(rounds if names else 0):
@@ -91,7 +93,7 @@ def fit_causes(
         better.covariance = linear.covariance
         gain = better.log_likelihood - now.log_likelihood
         now = better
-        if gain < enough:
+        if gain < max(enough, roughly * (now.log_likelihood - first.log_likelihood)):
             break
     return now
 

@@ -19,8 +19,8 @@ from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewe
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
-ENOUGH = 0.3
-"""Gain in ln L below which a refit ends: what is taken is fitted on with the causes after it."""
+ENOUGH, ROUGHLY = 0.3, 1e-3
+"""Gain in ln L, and share of what was gained, below which a refit ends: what is taken is fitted on."""
 
 TRIALS = 2
 """How many trials of one effect (orders, frequencies, rungs of other shapes) are refitted."""
@@ -99,7 +99,11 @@ def _refit(
     try:
         start = _start(problem, base, item)
         causes = (*base.causes, start)
-        return downhill(problem, start, fit_causes(problem, causes, enough=ENOUGH, known=known))
+        return downhill(
+            problem,
+            start,
+            fit_causes(problem, causes, enough=ENOUGH, known=known, roughly=ROUGHLY),
+        )
     except UserError:
         return None
 
