@@ -74,7 +74,7 @@ def test_the_spectrum_that_is_found_is_that_of_the_noise(parts):
     In the mean of 20 logs, within four standard errors of that mean and a share of the truth.
 
     Shapes overlap, so not their variances are compared but their sum. The steps that raise the
-    likelihood end before the last of what is slow: there a fifth may lack, above the observer a twentieth.
+    likelihood end before the last of what is slow: there a fifth may lack, else a twentieth.
     """
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)
