@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from independent_machine import cases
-from independent_machine.answers import SKEW, answers, phase_hz
+from independent_machine.answers import SKEW, answers
 from independent_machine.cases import draw
 from independent_machine.files import MACHINE, MAP, VALIDATION, description, write_case
 from independent_machine.machine import physics_of
@@ -388,7 +388,7 @@ def test_descriptions_say_what_the_machines_are(described):
 def test_every_answer_is_an_effect_of_the_library_with_these_parameters(described):
     for machine, effects, variant in described:
         for kind, values in effects.items():
-            expected = answers(machine, kind, values, {kind: values}, 1000.0)
+            expected = answers(machine, kind, values, {kind: values})
             for answer in expected.right:
                 if answer.effect in (SKEW, 'command_delay'):
                     continue
@@ -407,7 +407,7 @@ def test_masses_and_imbalances_of_the_library_change_what_they_should(described)
             if kind not in effects:
                 continue
             hidden = {kind: effects[kind]}
-            best = answers(machine, kind, effects[kind], hidden, 1000.0).right[0]
+            best = answers(machine, kind, effects[kind], hidden).right[0]
             changed = find(best.effect).apply(variant, machine.axis, best.values)
             physics = physics_of(machine, hidden)
             bodies = changed.description.bodies['load']
@@ -440,11 +440,3 @@ def test_files_are_read_as_the_log_that_was_simulated(tmp_path, drawn):
         text = (folder / MACHINE).read_text('utf-8') + (folder / MAP).read_text('utf-8')
         assert not any(effect.kind in text for effect in case.hidden)
         assert not read.findings
-
-
-def test_the_unit_of_delays_is_that_of_a_machine_without_a_controller():
-    from waferbot_lockstep.timing import Timing
-
-    assert phase_hz(500.0) == 4000.0
-    assert phase_hz(100.0) == 2000.0
-    assert phase_hz(4000.0) == Timing().current_loop_hz

@@ -13,8 +13,7 @@ cannot be told from it in some motions: naming one is neither right nor a false 
         constant_force, whose sum it is as long as it moves
     stribeck (breakaway, speed): stribeck_friction
     viscous (damping): viscous_friction [2]
-    mass (amount, kg or kg m2): wrong_inertia, of mass added to a slide wafer; force_constant,
-        encoder_scale
+    mass (amount, kg or kg m2): wrong_inertia; force_constant, encoder_scale
     motor_constant (ratio): force_constant; wrong_inertia, encoder_scale
     constant_force (force): constant_force
     imbalance (offset_x, offset_y, m): centre_of_gravity
@@ -38,7 +37,6 @@ related.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -46,14 +44,6 @@ from independent_machine.machine import Machine
 
 SKEW = 'skew'
 """Stands for a note that says that drive and position were moved against one another."""
-
-LEAST_TICKS = 8
-LEAST_TICKS_HZ = 2000.0
-MOST_TICKS_HZ = 18000.0
-"""
-How waferbot chooses the phase cycle of a machine without a controller, by the log's rate: a whole
-multiple of that, the unit of its delays.
-"""
 
 
 @dataclass(frozen=True)
@@ -77,15 +67,7 @@ class Answers:
         return frozenset(answer.effect for answer in self.right)
 
 
-def phase_hz(rate_hz: float) -> float:
-    """Return the phase rate that waferbot simulates a machine with whose log has a rate."""
-    ticks = max(LEAST_TICKS, math.ceil(LEAST_TICKS_HZ / rate_hz))
-    return min(float(round(ticks * rate_hz)), MOST_TICKS_HZ)
-
-
-def answers(
-    machine: Machine, kind: str, values: Mapping[str, float], hidden: Mapping, rate_hz: float
-) -> Answers:
+def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Mapping) -> Answers:
     """Return the answers to one of the hidden effects of a case, `hidden` being all of them."""
     gives = 'backlash' in hidden or 'compliance' in hidden
     stiff_gear = machine.kind == 'geared' and not gives
@@ -108,13 +90,10 @@ def answers(
         amount = values['amount']
         parameter = 'mass' if machine.linear else 'inertia'
         right = (Answer('wrong_inertia', {parameter: amount}),)
-        if machine.linear and amount > 0.0:
-            right += (Answer('wafer', {'mass': amount}),)
         return Answers(right, _in_other_measure(machine, 'force_constant'))
     if kind in ('encoder_delay', 'drive_delay'):
-        cycles = values['delay_s'] * phase_hz(rate_hz)
         right = (
-            Answer('encoder_delay', {'delay': cycles}),
+            Answer('encoder_delay', {'delay': 1e3 * values['delay_s']}),  # in ms
             Answer(SKEW, {'late_s': -values['delay_s']}),
         )
         if kind == 'drive_delay':

@@ -98,9 +98,8 @@ def moved_skews(notes: Sequence[str]) -> list[tuple[float, float]]:
 
 def answers_of(case: Case) -> dict[str, Answers]:
     """Return the answers to every hidden effect of a case."""
-    rate_hz = case.setup.tick_hz / case.setup.every
     return {
-        effect.kind: answers(case.setup.machine, effect.kind, effect.values, case.truth, rate_hz)
+        effect.kind: answers(case.setup.machine, effect.kind, effect.values, case.truth)
         for effect in case.hidden
     }
 

@@ -41,6 +41,7 @@ _RUN = {
         'experiment': TEXT,
         'ticks': WHOLE,
         'seed': WHOLE,
+        'without': {'type': 'array', 'items': TEXT},
         'timing': {
             'type': 'object',
             'properties': dict.fromkeys(

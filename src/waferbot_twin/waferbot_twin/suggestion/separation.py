@@ -4,9 +4,9 @@ How well an experiment would tell two causes apart, found by simulating it.
 
 The machine is simulated with cause A, once with noise, which gives its colour and size in every
 signal, and once without, which is what an endless repetition would show. To that, cause B is fitted as
-well as it can be. What is left then is laid on the noise, and the likelihood of that is compared with
-that of the noise alone, both as the diagnosis judges: with autoregressions of their own, which swallow
-a part of what is left. So 2 ln L is what a diagnosis of such a log can be expected to find.
+well as it can be. What is left then is laid on the noise, and how much likelier the noise alone is than
+that is judged as the diagnosis does (`estimation.evidence.gain`). So twice this is the 2 ln L that a
+diagnosis of such a log can be expected to find.
 
 The other way round, with B in the machine, it is another number; only the smaller one can be relied on.
 """
@@ -27,6 +27,7 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
+from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.identification.solving import least_squares
 from waferbot_twin.noise_model.prediction_error import Fit, prediction_errors
@@ -177,22 +178,20 @@ def _imitated(
         difference = partial(_difference, judged, left, own)
         rival, squares = _closest(difference, rival, problem)
         rest = left(rival)
-        judged = problem.judge(
-            {
-                block: [
-                    noise + one - other
-                    for noise, one, other in zip(
-                        shaken.residuals[block], rest[block], own[block], strict=True
-                    )
-                ]
-                for block in blocks
-            }
-        )
+        laid_on = {
+            block: [
+                noise + one - other
+                for noise, one, other in zip(
+                    shaken.residuals[block], rest[block], own[block], strict=True
+                )
+            ]
+            for block in blocks
+        }
+        judged = problem.judge(laid_on)
         if squares < NOTHING_LEFT:
             break
-    evidence = 2.0 * sum(
-        noise_alone[block].log_likelihood - judged[block].log_likelihood for block in blocks
-    )
+    alone = Hypothesis((true,), {block: shaken.residuals[block] for block in blocks}, noise_alone)
+    evidence = 2.0 * gain(alone, Hypothesis((rival,), laid_on, judged))
     return max(evidence, 0.0), rival
 
 

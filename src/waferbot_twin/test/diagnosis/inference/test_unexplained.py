@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What causes leave over in a block that would leave nothing if they were right."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Posterior
+from waferbot_twin.diagnosis.inference.unexplained import unexplained
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant, built
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
+
+
+def cause(name, **values):
+    effect, axis = name.split(':')
+    return Cause(find(effect), axis, values)
+
+
+DERIVATIVE = cause('wrong_derivative_gain:y_linear', ratio=0.99)
+DEAD_TIME = cause('dead_time:x_rotate', voltage=0.5)
+
+
+@pytest.fixture(scope='module')
+def problem():
+    """Return a log of a machine with a wrong setting of the controller and one of an amplifier."""
+    nominal = Variant.of(load_model('rigid'))
+    variant = apply_all(nominal, [DERIVATIVE, DEAD_TIME])
+    timing = Timing()
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment('step'), twin.servo_parameters, timing.servo_hz
+    )
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.3)))])
+
+
+def left_over(problem, *causes):
+    found = Posterior(evaluate(problem), evaluate(problem, causes), (), 0)
+    return {
+        (item.axis, item.block): item
+        for item in unexplained(problem, found, Settings())
+        if item.block in (CONTROLLER, AMPLIFIER)
+    }
+
+
+def test_right_causes_leave_nothing_over(problem):
+    assert left_over(problem, DERIVATIVE, DEAD_TIME) == {}
+
+
+def test_what_no_cause_explains_in_an_exact_block_is_said(problem):
+    found = left_over(problem)
+    assert set(found) == {('y_linear', CONTROLLER), ('x_rotate', AMPLIFIER)}
+    assert all(item.share == 1.0 for item in found.values())
+    assert {item.with_what for item in found.values()} == {'its input'}
+
+
+@pytest.mark.parametrize(
+    'stand_in',
+    [
+        cause('wrong_velocity_feedforward:y_linear', difference=5.0),
+        cause('notch:y_linear', depth=5e-5, frequency=100.0),
+    ],
+)
+def test_what_stands_in_for_the_cause_leaves_some_over(problem, stand_in):
+    found = left_over(problem, DEAD_TIME, stand_in)
+    assert set(found) == {('y_linear', CONTROLLER)}
+
+
+def test_a_cause_nearly_right_leaves_a_small_share(problem):
+    nearly = cause('wrong_derivative_gain:y_linear', ratio=0.9905)
+    (left,) = left_over(problem, DEAD_TIME, nearly).values()
+    assert left.share < 0.02

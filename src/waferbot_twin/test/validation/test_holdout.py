@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What loses in logs that were not used for its fit is withdrawn, and what wins is kept."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant, built
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, apply_all
+from waferbot_twin.validation.gain import AxisGain
+from waferbot_twin.validation.holdout import extension_that_wins
+
+AXES = ('y_linear', 'x_rotate', 'y_rotate')
+FRICTION = Cause(find('coulomb_friction'), 'y_linear', {'friction': 5.0})
+PULLED = Cause(find('constant_force'), 'y_linear', {'force': 30.0})
+
+
+@pytest.fixture(scope='module')
+def nominal():
+    return Variant.of(load_model('rigid'))
+
+
+def log(nominal, name, motion, *hidden):
+    timing = Timing()
+    variant = apply_all(nominal, hidden)
+    twin = Twin(built(variant, timing), variant.pmac, variant.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment(motion), twin.servo_parameters, timing.servo_hz
+    )
+    return record_of_signals(name, twin.advance(timing.ticks(0.3)))
+
+
+def test_a_cause_of_both_logs_is_kept_and_one_of_the_first_alone_is_withdrawn(nominal):
+    """Somebody leaned against the machine while the log for estimation was taken."""
+    estimation = [log(nominal, 'first', 'step', FRICTION, PULLED)]
+    validation = [log(nominal, 'second', 'random_y_linear', FRICTION)]
+    found = extension_that_wins(nominal, (FRICTION, PULLED), estimation, validation)
+    assert [cause.name for cause in found.causes] == [FRICTION.name]
+    assert [cause.name for cause in found.withdrawn] == [PULLED.name]
+    (gain,) = (item for item in found.gains if item.axis == 'y_linear')
+    assert gain.log == 'second'
+    assert gain.improvement_percent > 0.0
+
+
+def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
+    records = [
+        log(nominal, name, motion, FRICTION, PULLED)
+        for name, motion in (('first', 'step'), ('second', 'random_y_linear'))
+    ]
+    begun = FRICTION.with_values({'friction': 1.0}), PULLED.with_values({'force': 1.0})
+    found = extension_that_wins(nominal, begun, records[:1], records[1:])
+    assert not found.withdrawn
+    friction, pulled = found.causes
+    assert friction.values['friction'] == pytest.approx(5.0, rel=0.05)
+    assert pulled.values['force'] == pytest.approx(30.0, rel=0.05)
+    (gain,) = (item for item in found.gains if item.axis == 'y_linear')
+    assert gain.improvement_percent > 80.0
+
+
+def test_without_causes_nothing_is_gained_or_lost(nominal):
+    record = log(nominal, 'only', 'step')
+    found = extension_that_wins(nominal, (), [record], [record])
+    assert found.causes == found.withdrawn == ()
+    assert [item.improvement_percent for item in found.gains] == pytest.approx([0.0] * 3)
+
+
+@pytest.mark.parametrize(
+    ('ratios', 'kept'),
+    [
+        ((0.7, 1.0, 1.0), True),
+        ((0.7, 1.1, 1.0), True),  # what one axis loses another wins
+        ((1.0, 1.0, 1.005), True),
+        ((1.05, 1.0, 1.0), False),
+        ((0.98, 1.3, 0.99), False),
+    ],
+)
+def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, ratios, kept):
+    error = np.sin(np.linspace(0.0, 100.0, 2000))
+
+    def gains(before, after, records):
+        same = before is after
+        return [
+            AxisGain('log', axis, 'm', error, error, error, error * (1.0 if same else ratio), True)
+            for axis, ratio in zip(AXES, ratios, strict=True)
+        ]
+
+    monkeypatch.setattr('waferbot_twin.validation.holdout.gains', gains)
+    monkeypatch.setattr('waferbot_twin.validation.holdout._fitted', lambda problem, causes: causes)
+    monkeypatch.setattr('waferbot_twin.validation.holdout.Problem', lambda nominal, records: None)
+    found = extension_that_wins(nominal, (FRICTION,), [], [])
+    assert bool(found.causes) == kept
+    assert bool(found.withdrawn) != kept

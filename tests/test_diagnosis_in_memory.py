@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+A diagnosis from beginning to end in memory: one hidden effect in each block, two at once, and none.
+
+Logs of a second, of noise with a fixed seed, as the bench makes them; the whole library is tried.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / 'bench'))
+
+from diagnosis_matrix import trial
+from diagnosis_matrix.motions import draw_experiment
+
+from waferbot_twin.diagnosis.diagnose import diagnose
+from waferbot_twin.effects import find
+from waferbot_twin.residuals.problem import Cause, apply_all
+
+pytestmark = pytest.mark.slow
+
+SEED = 20261214
+
+
+def diagnosed(*hidden):
+    """Return the diagnosis of two logs of a machine with hidden causes."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    nominal = trial.nominal('rigid')
+    causes = [Cause(find(name), axis, values) for name, axis, values in hidden]
+    motions = [(draw_experiment(nominal, random), SEED + place) for place in range(2)]
+    first, second = trial.logs(apply_all(nominal, causes), 'rigid', 1.0, motions)
+    return diagnose(nominal, [first], [second], lambda *_: None)
+
+
+COULOMB = ('coulomb_friction', 'x_rotate', {'friction': 1.0})
+DERIVATIVE = ('wrong_derivative_gain', 'y_linear', {'ratio': 0.98})
+DEAD_TIME = ('dead_time', 'x_rotate', {'voltage': 0.5})
+
+
+@pytest.mark.parametrize(
+    'hidden',
+    [COULOMB, DERIVATIVE, DEAD_TIME],
+    ids=['plant', 'controller', 'amplifier'],
+)
+def test_an_effect_of_each_block_is_named_with_its_size(hidden):
+    result = diagnosed(hidden)
+    name, axis, values = hidden
+    print([found.cause.name for found in result.causes], result.unexplained)
+    (found,) = (one for one in result.causes if one.cause.name == f'{name}:{axis}')
+    assert found.probability > 0.5
+    assert found.cause in [one.cause for one in found.credible_set]
+    neutral = 1.0 if 'ratio' in values else 0.0
+    for key, value in values.items():
+        assert found.cause.values[key] - neutral == pytest.approx(value - neutral, rel=0.1)
+    assert 0.0 < found.share <= 1.0
+    assert result.estimation == ['log_0']
+    assert result.validation == ['log_1']
+
+
+def test_two_effects_are_both_named():
+    result = diagnosed(COULOMB, DERIVATIVE)
+    names = {found.cause.name for found in result.causes}
+    print(names, result.unexplained)
+    assert {'coulomb_friction:x_rotate', 'wrong_derivative_gain:y_linear'} <= names
+    assert result.verdict in ('explained', 'partly')
+
+
+def test_where_nothing_is_hidden_nothing_is_named():
+    result = diagnosed()
+    assert [found.cause.name for found in result.causes] == []
+    assert result.unexplained == []
+    assert result.verdict == 'consistent'
+    assert result.withdrawn == []
