@@ -187,9 +187,6 @@ def measure_stage(random, file, truth, hertz, metres, seconds=2.5):
     return file
 
 
-@pytest.mark.xfail(
-    reason='what is left over is fitted to signals of the noise-free log that are not finite'
-)
 @pytest.mark.slow
 def test_a_stage_with_three_causes_at_once_and_what_its_log_cannot_tell(random, tmp_path):
     """A log without the force tells no mass from a force constant: both must be said."""

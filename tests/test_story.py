@@ -39,7 +39,8 @@ KEPT = ('wrong_bias',)
 
 
 @pytest.mark.xfail(
-    reason='with compliances of several axes at once other causes are named: force constant, payload'
+    reason='with compliances of several axes at once other causes are named: force constant, payload',
+    run=False,  # it takes ten minutes
 )
 def test_from_the_rigid_model_to_the_machine_as_built():
     nominal = Variant.of(load_model('rigid'))

@@ -77,7 +77,8 @@ def fit_causes(
     Return the causes with the values that make the logs most likely.
 
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
-    that was gained. `known` are signatures of the first causes that were found near here: they are not found anew in every round (chord method). Raises
+    that was gained. `known` are signatures of the first causes that were found near here: they are
+    not found anew in every round (chord method). Raises
     `UserError` if the simulation blows up where the fit begins.
     """
     now = first = evaluate(problem, causes)

@@ -85,13 +85,6 @@ def test_a_ring_that_makes_no_line_is_found_by_trying(nominal, logs):
     assert best.cause.values['compliance'] == pytest.approx(SHARE * parameter.typical, rel=0.03)
 
 
-STANDING_PAIR = pytest.mark.xfail(
-    reason='noise of two encoders of an axis that stands looks like a gearbox that gives: the noise '
-    'model of a pair is not the same for every observer'
-)
-
-
-@STANDING_PAIR
 def test_noise_that_makes_stiff_parts_ring_promises_nothing(logs):
     effects = [find(name) for name in RIVALS]
     _, quiet_logs = logs
@@ -135,7 +128,6 @@ def test_where_nothing_else_is_found_it_is_tried(nominal, logs):
     assert found.values['compliance'] == pytest.approx(SHARE * parameter.typical, rel=0.02)
 
 
-@STANDING_PAIR
 def test_in_noise_alone_nothing_is_found(logs):
     _, (nothing, _) = logs
     effects = [find(name) for name in RIVALS]

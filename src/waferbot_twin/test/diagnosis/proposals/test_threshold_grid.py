@@ -13,7 +13,7 @@ import pytest
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_twin.diagnosis.inference.refit import TRIALS, within_reach
+from waferbot_twin.diagnosis.inference.refit import within_reach
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.offered import limited_commands
 from waferbot_twin.diagnosis.proposals.screening import Screened, candidates
@@ -136,7 +136,7 @@ def test_what_construction_fixes_is_held_and_costs_no_parameter(nominal):
     assert found[0].free == 2
 
 
-def test_trials_that_promise_as_much_are_all_fitted(nominal):
+def test_the_best_two_trials_of_a_name_are_fitted(nominal):
     problem = SimpleNamespace(nominal=nominal)
     effect = find('torque_ripple')
 
@@ -148,4 +148,4 @@ def test_trials_that_promise_as_much_are_all_fitted(nominal):
     chosen = within_reach(problem, screened, Settings())
     assert [item.score for item in chosen] == [100.0, 99.0]
     tied = [at(float(order), 100.0) for order in range(1, 8)]
-    assert len(within_reach(problem, tied, Settings())) == TRIALS
+    assert len(within_reach(problem, tied, Settings())) == 2

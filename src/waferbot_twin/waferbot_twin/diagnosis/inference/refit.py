@@ -22,8 +22,8 @@ from waferbot_twin.residuals.problem import Cause, Problem
 ENOUGH, ROUGHLY = 0.3, 1e-3
 """Gain in ln L, and share of what was gained, below which a refit ends: what is taken is fitted on."""
 
-TRIALS = 2
-"""How many trials of one effect (orders, frequencies, rungs of other shapes) are refitted."""
+MORE_TRIALS = 3
+"""How many second trials (another order, frequency or rung) are refitted."""
 
 
 def within_reach(
@@ -32,10 +32,10 @@ def within_reach(
     """
     Return what may be the best: by the linear problem, and by what that says in noise of known power.
 
-    As many names as the settings allow, half of them by each; with each name those of its trials that
-    promise most and have another shape.
+    Half of the names that the settings allow by each; then, as long as there is room, other trials of
+    these that promise much and have another shape.
     """
-    chosen: dict[str, list[Screened]] = {}
+    first: dict[str, Screened] = {}
     by_likelihood = sorted(screened, key=lambda item: -item.likelihood)
     by_score = sorted(screened, key=lambda item: -item.score)
     for ranked, most in (
@@ -43,15 +43,15 @@ def within_reach(
         (by_score, settings.most_refits),
     ):
         for item in ranked:
-            if len(chosen) < most:
-                chosen.setdefault(item.cause.name, [])
+            if len(first) < most:
+                first.setdefault(item.cause.name, item)
+    chosen = list(first.values())
     for item in by_likelihood:
-        trials = chosen.get(item.cause.name)
-        if trials is None or len(trials) == TRIALS:
-            continue
-        if not trials or _differs(problem, item, trials):
-            trials.append(item)
-    return [item for trials in chosen.values() for item in trials]
+        of_its_name = [one for one in chosen if one.cause.name == item.cause.name]
+        room = len(chosen) < settings.most_refits + MORE_TRIALS
+        if room and len(of_its_name) == 1 and _differs(problem, item, of_its_name):
+            chosen.append(item)
+    return chosen
 
 
 def _differs(problem: Problem, item: Screened, trials: Sequence[Screened]) -> bool:

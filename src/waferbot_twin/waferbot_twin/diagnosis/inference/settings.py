@@ -21,6 +21,7 @@ class Settings:
     credible_level     probability that a credible set holds at least
     most_causes        how many causes are looked for at most
     most_refits        how many candidates are refitted through the simulation in each step
+    most_asked         how often the posterior of an effect is asked for at most
     endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
                        the one that the command causes disagree, and the latter counts
 
@@ -35,6 +36,7 @@ class Settings:
     credible_level: float = 0.95
     most_causes: int = 12
     most_refits: int = 8
+    most_asked: int = 24
     endogeneity_level: float = 1e-3
     correlated_from: float = 0.1
 

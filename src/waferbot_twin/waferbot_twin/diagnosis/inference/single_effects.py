@@ -43,7 +43,7 @@ from waferbot_twin.diagnosis.inference.refit import refit, released, within_reac
 from waferbot_twin.diagnosis.proposals.screening import Screened
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
@@ -164,26 +164,29 @@ def infer(pool: CandidatePool) -> Posterior:
     nothing = found = evaluate(problem)
     pool.begin(nothing)
     effects: list[SingleEffect] = []
+    asked = 0
     while len(effects) < settings.most_causes:
         effect = _ask(pool, found)
+        asked += 1
         if effect is None or effect.inclusion < settings.named_from:
             break
         found = _fitted(problem, effect.best.found.causes) or effect.best.found
         effects.append(effect)
-    found, effects = _ask_again(pool, found, effects)
+    found, effects = _ask_again(pool, found, effects, settings.most_asked - asked)
     return Posterior(nothing, found, tuple(effects), len(pool.names))
 
 
 def _ask_again(
-    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect]
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
 ) -> tuple[Hypothesis, list[SingleEffect]]:
-    """Ask for every effect anew beside all others until none changes."""
+    """Ask for every effect anew beside all others until none changes, so many times at `most`."""
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
             name = effect.best.cause.name
-            if not _bent(pool, found, name):
+            if most <= 0 or not _bent(pool, found, name):
                 continue
+            most -= 1
             present = next(cause for cause in found.causes if cause.name == name)
             others = tuple(cause for cause in found.causes if cause.name != name)
             base = _fitted(pool.problem, others)
@@ -249,11 +252,22 @@ def _ask(
     known = pool.signatures_of(base)
     fitted = refit(problem, base, chosen, known, pool.progress, pool.workers)
     fitted += [free for one in fitted if (free := released(problem, one)) is not None]
+    fitted = [one for one in fitted if not _on_a_bound(problem, one.causes[-1])]
     members = [
         Member(one, log_evidence(problem, one, base, settings.prior_scales)) for one in fitted
     ]
     return _posterior(
         problem, base, members, prior, settings.prior_scales, settings.endogeneity_level
+    )
+
+
+def _on_a_bound(problem: Problem, cause: Cause) -> bool:
+    """Return whether a size of a cause is as large as it can be: then it stands in for another one."""
+    return any(
+        cause.values[item.name] in (item.low, item.high)
+        and cause.values[item.name] != item.neutral
+        for item in parameters_of(problem, cause)
+        if not item.shape
     )
 
 

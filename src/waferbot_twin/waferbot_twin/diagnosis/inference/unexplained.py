@@ -152,7 +152,9 @@ def _columns(motion: Motion, times_s: Array) -> Array:
         *motion.currents,
         motion.amplitude,
     ]
-    columns = np.column_stack([np.interp(times_s, motion.clock_s, one) for one in signals])
+    # An imported log has no line currents.
+    known = [one for one in signals if np.isfinite(one).all()]
+    columns = np.column_stack([np.interp(times_s, motion.clock_s, one) for one in known])
     columns = columns - columns.mean(axis=0)
     scale = columns.std(axis=0)
     return columns / np.where(scale > 0.0, scale, 1.0)
