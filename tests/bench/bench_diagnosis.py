@@ -9,11 +9,9 @@ one line of bench-results/diagnosis.jsonl, written as soon as it is done: what i
 again, so the bench can be stopped and goes on where it was. At the end tables of all lines of this seed,
 the same as diagnosis.json and a picture, diagnosis.png. A line says with which commit it was found.
 
-The full matrix takes many hours on two cores. For a part of it, and to go on with the lines in the
-repository:
+The full matrix takes many hours on two cores. For a part of it:
 
   make bench-diagnosis OPTIONS='--only single-10 --effects backlash,cogging --minutes 20'
-  make bench-diagnosis OPTIONS='--out tests/bench/results'
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.variance_components import (
-    CORNERS_HZ,
+    COLOURED_HZ,
     Shapes,
     averaged_periodogram,
     prediction_filter,
@@ -24,7 +24,7 @@ READING, INNOVATION, FIRST_FORCE = 0, 1, 2
 
 def shapes(motion=None, count=4500):
     basis = np.zeros((count, 0)) if motion is None else motion
-    return Shapes(RATE_HZ, OBSERVER_HZ, DAMPING, basis)
+    return Shapes(RATE_HZ, OBSERVER_HZ, DAMPING, basis, COLOURED_HZ)
 
 
 def noise_of(random, weights, count=4500):
@@ -36,7 +36,7 @@ def noise_of(random, weights, count=4500):
 
 
 def weights_of(**parts):
-    found = np.zeros(2 + len(CORNERS_HZ))
+    found = np.zeros(2 + len(COLOURED_HZ))
     for name, value in parts.items():
         found[{'reading': READING, 'white': INNOVATION, 'force': FIRST_FORCE}[name]] = value
     return found

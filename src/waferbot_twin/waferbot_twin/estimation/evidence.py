@@ -2,11 +2,12 @@
 """
 How much more the logs speak for one set of causes than for another.
 
-**Gain.** Two hypotheses A and B leave the residuals r_A and r_B, filtered by the noise model of A.
-With the difference d = r_B - r_A and the power lambda of what A leaves over along d, known with nu
-degrees of freedom (`noise_model.residual_spectrum.power_along`),
+**Gain.** Two hypotheses A and B have the likelihoods L_A and L_B, each with the noise model of its own
+residuals r_A and r_B. With the difference d = r_B - r_A and the power lambda of what A leaves over along
+d, both filtered by the noise model of A, known with nu degrees of freedom
+(`noise_model.residual_spectrum.power_along`),
 
-    G = (nu + 1) / 2 ln(1 + (|r_B|^2 - |r_A|^2) / (lambda nu))                                      (1)
+    G = (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                                          (1)
 
 is the logarithm of their likelihood ratio. Where the noise model is right, lambda is 1, nu large
 and G the usual one; where A lacks something, or noise has another colour, the working likelihood
@@ -60,9 +61,13 @@ def _seen_from(this: Hypothesis, other: Hypothesis) -> float:
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
         changes = [one - two for one, two in zip(before, left, strict=True)]
-        squares = sum(
-            float(one @ one) - float(two @ two) for one, two in zip(before, left, strict=True)
-        )
+        if any(colour.error.order for colour in fit.colours):
+            # Each with its own noise: another model may have another observer, which colours it anew.
+            squares = 2.0 * (fit.log_likelihood - other.fits[block].log_likelihood)
+        else:  # nothing but rounding, the same for every model
+            squares = sum(
+                float(one @ one) - float(two @ two) for one, two in zip(before, left, strict=True)
+            )
         if squares != 0.0:
             total += power_along(left, changes, fit.colours).log_likelihood_ratio(squares)
     return total

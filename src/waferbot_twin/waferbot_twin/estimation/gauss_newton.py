@@ -21,7 +21,6 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
-    in_quick_steps,
     parameters_of,
     signature,
     width_of,
@@ -187,8 +186,8 @@ def linearise(
     workers: int = 1,
     known: Sequence[Signature] = (),
 ) -> Linear:
-    """Return the linear problem about a hypothesis, with signatures in the plant's longer steps."""
-    own = [*known, *_signatures(*in_quick_steps(problem, now), workers, len(known))]
+    """Return the linear problem about a hypothesis."""
+    own = [*known, *_signatures(problem, now, workers, len(known))]
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(own, counts)
     estimate = fit_jointly(problem, now.residuals, together, known=now.fits)

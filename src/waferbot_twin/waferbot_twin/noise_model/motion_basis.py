@@ -27,6 +27,9 @@ SMOOTHING_S = 0.01
 STANDS, NEAR_REST = 0.02, 0.1
 """v_0 and v_1, as shares of the largest speed."""
 
+MOVES = 20.0
+"""Range of an axis that moves at least, over the RMS of what smoothing takes away."""
+
 FEWEST = 20
 """Samples for each column at least; with fewer there is no basis."""
 
@@ -36,12 +39,16 @@ def motion_basis(position: Array, rate_hz: float) -> Array:
     Return orthonormal columns (n, k) that span the motion of an axis at `position` (n,), in any
     unit.
 
-    k is 0 for an axis that stands, or with too few samples.
+    k is 0 for an axis that stands, as what noise makes of its position is no motion, or with too few
+    samples.
     """
     width = max(3, round(SMOOTHING_S * rate_hz))
     if len(position) < FEWEST * 11 or not np.ptp(position) > 0.0:
         return np.zeros((len(position), 0))
     p = _smooth(position - position.mean(), width)
+    rough = float(np.std(position - position.mean() - p))
+    if np.ptp(p) < MOVES * rough:
+        return np.zeros((len(position), 0))
     v = _smooth(np.gradient(p), width)
     a = _smooth(np.gradient(v), width)
     fastest = float(np.abs(v).max())

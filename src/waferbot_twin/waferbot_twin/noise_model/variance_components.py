@@ -52,7 +52,7 @@ COLOURED_HZ = (10.0, 30.0, np.inf)
 """Corners of forces: for values, and for evidence."""
 
 STEPS = 60
-"""Multiplicative steps: the last of them changes spectra by less than a percent."""
+"""Multiplicative steps; far below the observer the spectrum may still be some tenths low after them."""
 
 BANDS_PER_OCTAVE = 6
 GRID = 1024
@@ -98,9 +98,11 @@ def variances(residual: Array, shapes: Shapes) -> Array:
     frequency_hz, power, lines = averaged_periodogram(residual, shapes.rate_hz)
     base = shapes.at(frequency_hz)
     total = float(np.sum(power * lines) / np.sum(lines))
-    found = np.full(len(base), max(total, 1e-300) / len(base))
+    if not total > 0.0:
+        return np.zeros(len(base))
+    found = np.full(len(base), total / len(base))
     for _ in range(STEPS):
-        model = np.maximum(found @ base, 1e-12 * max(total, 1e-300))
+        model = np.maximum(found @ base, 1e-12 * total)
         gained, paid = base @ (lines * power / model**2), base @ (lines / model)
         found = found * np.sqrt(gained / np.maximum(paid, 1e-300))
     return np.asarray(found, np.float64)

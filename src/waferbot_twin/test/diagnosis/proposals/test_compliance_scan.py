@@ -121,7 +121,7 @@ def test_what_no_log_could_hold_is_not_tried(nominal, logs):
 def test_where_nothing_else_is_found_it_is_tried(nominal, logs):
     effects = [find(name) for name in RIVALS]
     (parameter,) = find(HIDDEN).parameters(nominal, AXIS)
-    (ringing, _), _ = logs
+    ringing = Problem(nominal, [record for log in logs[0] for record in log.records])
     causes = infer(CandidatePool(ringing, effects, Settings(), quiet)).found.causes
     (found,) = (cause for cause in causes if cause.axis == AXIS)
     assert found.effect.name == HIDDEN
