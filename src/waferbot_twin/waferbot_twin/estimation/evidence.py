@@ -44,30 +44,32 @@ SMALLEST = 1e-12
 """Smallest variance of an estimate, as a share of its prior's: rounding, not knowledge."""
 
 
-def gain(more: Hypothesis, fewer: Hypothesis) -> float:
+def gain(more: Hypothesis, fewer: Hypothesis, noise_known: bool = False) -> float:
     """
-    Return equation (1), block by block: how much likelier the logs are with `more` than with
-    `fewer`.
+    Return equation (1), block by block: how much likelier the logs are with `more` than with `fewer`.
 
-    Antisymmetric: seen from the one that leaves less over. Both are hypotheses of the same problem.
+    Antisymmetric: seen from the one that leaves less over. Both are hypotheses of the same problem. With
+    `noise_known` the noise of both is that of `more`, as where both were simulated with the same.
     """
-    seen = _seen_from(more, fewer)
-    return seen if seen >= 0.0 else -max(_seen_from(fewer, more), 0.0)
+    if noise_known:
+        return _seen_from(more, fewer, True)
+    seen = _seen_from(more, fewer, False)
+    return seen if seen >= 0.0 else -max(_seen_from(fewer, more, False), 0.0)
 
 
-def _seen_from(this: Hypothesis, other: Hypothesis) -> float:
+def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool) -> float:
     total = 0.0
     for block, fit in this.fits.items():
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
         changes = [one - two for one, two in zip(before, left, strict=True)]
-        if any(colour.error.order for colour in fit.colours):
-            # Each with its own noise: another model may have another observer, which colours it anew.
-            squares = 2.0 * (fit.log_likelihood - other.fits[block].log_likelihood)
-        else:  # nothing but rounding, the same for every model
+        if noise_known or not any(colour.error.order for colour in fit.colours):
             squares = sum(
                 float(one @ one) - float(two @ two) for one, two in zip(before, left, strict=True)
             )
+        else:
+            # Each with its own noise: another model may have another observer, which colours it anew.
+            squares = 2.0 * (fit.log_likelihood - other.fits[block].log_likelihood)
         if squares != 0.0:
             total += power_along(left, changes, fit.colours).log_likelihood_ratio(squares)
     return total

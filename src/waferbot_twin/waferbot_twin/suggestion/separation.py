@@ -191,7 +191,7 @@ def _imitated(
         if squares < NOTHING_LEFT:
             break
     alone = Hypothesis((true,), {block: shaken.residuals[block] for block in blocks}, noise_alone)
-    evidence = 2.0 * gain(alone, Hypothesis((rival,), laid_on, judged))
+    evidence = 2.0 * gain(alone, Hypothesis((rival,), laid_on, judged), noise_known=True)
     return max(evidence, 0.0), rival
 
 
