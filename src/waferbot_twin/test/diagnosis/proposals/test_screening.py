@@ -68,8 +68,7 @@ def test_an_error_of_teeth_is_found_from_where_the_drive_has_let_go():
     effect = find('transmission_error')
     true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
     problem = log_of(nominal, true, 'full_stroke_y_rotate')
-    # A play that is large promises more in a linear problem: both are refitted.
-    first = best_screened(problem, 'transmission_error', 'encoder_eccentricity')
+    first = best_screened(problem, 'transmission_error', 'encoder_eccentricity', 'backlash')
     assert (first.cause.name, first.cause.values['order']) == (true.name, true.values['order'])
     # It is in proportion once there is a little, so that a fit gets from there to the truth.
     names = ('cosine', 'sine')
