@@ -138,7 +138,7 @@ def power_along(
     moves. It has K degrees of freedom in a channel, and nu = (sum J_c)^2 / sum(J_c^2 / K) in all
     (Satterthwaite). Of a channel that follows to the last bit, where no noise is, J_c is |d_c|^2
     and exact. lambda is not less than 1: of many directions that are tried a fit takes one in which
-    noise happened to be weak (without it a vibration of the floor was named in two of three empty logs).
+    noise happened to be weak.
     """
     total = noisy = uncertain = 0.0
     for white, change, colour in zip(left, changes, colours, strict=True):
