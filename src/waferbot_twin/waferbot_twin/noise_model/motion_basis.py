@@ -6,9 +6,8 @@ So the noise of a motion residual is what is left of it without its projection o
 columns q of position p, speed v, acceleration, jerk, direction s = tanh(v / v_0), v |v|, |v|, s p,
 the change of s, s exp(-|v| / v_1), and a constant. With v_0 and v_1 2 % and 10 % of the largest
 speed these hold nearly all that inertias, frictions (also rising or falling from rest, by direction or
-position), gravity, delays and scales change. The spectrum of the rest is that of sensors and
-disturbances, and no misfit: on the EMPS axis the Coulomb friction then is 19.9 N, with the
-spectrum of all that is left over 14.2 N, by least squares 20.4 N.
+position) and gravity change; of a delay they hold less than half. What the rest has as its spectrum is
+that of sensors and disturbances, and of little misfit (`variance_components` has a measurement).
 
 Assumption: the motion takes up a small part of the degrees of freedom, 11 of some hundred samples
 at least.

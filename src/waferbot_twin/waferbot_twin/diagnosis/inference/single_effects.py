@@ -16,7 +16,7 @@ and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`)
 the simulation for every candidate that the linear problem puts within reach. Effects are added as
 long as one is more probable than none; then each is asked for anew beside all others, as often as
 one changes: an early choice is revised when the others are known. A candidate is a name
-(`effect:axis`); its trials share its prior.
+(`effect:axis`) with the prior pi_j; of its trials the best stands for it.
 
 What no physical cause explains competes with them: forces over speed and position of an axis
 without a name (`discrepancy`).
@@ -55,9 +55,7 @@ PASSES = 2
 
 @dataclass(frozen=True)
 class Member:
-    """A candidate for one effect: fitted beside the others, ln BF, and its posterior
-    probability.
-    """
+    """A candidate for one effect, fitted beside the others: ln BF and posterior probability."""
 
     found: Hypothesis
     log_evidence: float
@@ -71,9 +69,7 @@ class Member:
 
 @dataclass(frozen=True)
 class SingleEffect:
-    """One effect of the sum: its candidates, the most probable first, and the probability of
-    none.
-    """
+    """One effect of the sum: candidates, the most probable first, and the probability of none."""
 
     members: tuple[Member, ...]
     none: float
@@ -101,9 +97,7 @@ class SingleEffect:
 
 @dataclass(frozen=True)
 class Posterior:
-    """All effects with the hypothesis that holds the best of each, in the same order, and
-    `nothing`.
-    """
+    """All effects, and the hypothesis with the best of each in the same order; `nothing` without."""
 
     nothing: Hypothesis
     found: Hypothesis
@@ -112,8 +106,7 @@ class Posterior:
 
     def share(self, problem: Problem, place: int) -> float:
         """
-        Return the share of what the nominal model leaves over that goes with one of the causes
-        alone.
+        Return the share of what the nominal model leaves over that goes with one cause alone.
 
         Of the mean square on the cause's axis, in the block where that share is largest; 0 to 1.
         """
@@ -193,8 +186,8 @@ def _ask_again(
             again = _ask(pool, base, present) if base is not None else None
             if again is None:
                 continue
-            place = effects.index(effect)
-            rest = [one for one in effects if one is not effect]
+            place = next(number for number, one in enumerate(effects) if one is effect)
+            rest = [*effects[:place], *effects[place + 1 :]]
             if again.inclusion < pool.settings.named_from:
                 assert base is not None
                 found, effects, changed = base, rest, True
@@ -337,11 +330,12 @@ def instrumented_gain(
     """
     Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
 
-    With z its change in the noise-free log and d that in the logs, both white, b what `base`
-    leaves over and S the spectrum of what `more` does, the instrument's estimate of the cause's
-    size, 1 if the two agree, is z' b / z' d with the variance z' S z / (z' d)^2. None if they
-    agree at the `level` of Hausman's test, or if the logs do not tell what was commanded; else (z'
-    b)^2 / (2 z' S z).
+    With z its change in the noise-free log and d that in the logs, both white, and b what `base`
+    leaves over, the instrument's estimate of the cause's size, 1 if the two agree, is z' b / z' d
+    with the variance lambda z' z / (z' d)^2, lambda the power of the noise along z
+    (`residual_spectrum.power_along`). None if they agree at the `level` of Hausman's test, or if the
+    logs do not tell what was commanded; else the likelihood ratio of (z' b)^2 / z' z, nothing if z' b
+    is negative, and what exact blocks gain.
     """
     try:
         ideal = problem.ideal(more.causes)

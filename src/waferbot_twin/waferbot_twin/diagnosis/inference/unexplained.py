@@ -4,19 +4,18 @@ What stays unexplained: where, how much, and what it goes with.
 
 Three kinds of evidence, one for each kind of block:
 
-- a force over speed or position of an axis that no physical cause explains as well
-  (`discrepancy`), as one
-  of the effects of the posterior;
+- a force over speed or position of an axis that no physical cause explains as well (`discrepancy`),
+  as one of the effects of the posterior;
 - in a block that follows from its inputs to the last bit, anything at all that is left over;
 - in every other channel, a residual that depends on what the command makes the machine do. The
-  columns
-  q of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to the
-  white residual e by least squares, with the Bayes factor of Schwarz' approximation,
+  columns of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to
+  the white residual by least squares, with the Bayes factor of Schwarz' approximation,
 
       ln BF = G - k / 2 ln N,                                                                       (1)
 
-  G as in `estimation.evidence`, k columns, N samples, and the prior odds of any other candidate.
-  Noise knows nothing of the command: what goes with it is something that the model lacks.
+  G as in `estimation.evidence`, k columns, N samples, and prior odds of the expected number of causes
+  over the number of channels. Noise knows nothing of the command: what goes with it is something that
+  the model lacks.
 """
 
 from __future__ import annotations
