@@ -8,6 +8,7 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
@@ -16,6 +17,8 @@ from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, apply_all
 from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.holdout import extension_that_wins
+
+TOLERATED = Settings().tolerated_loss
 
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
 FRICTION = Cause(find('coulomb_friction'), 'y_linear', {'friction': 5.0})
@@ -41,7 +44,7 @@ def test_a_cause_of_both_logs_is_kept_and_one_of_the_first_alone_is_withdrawn(no
     """Somebody leaned against the machine while the log for estimation was taken."""
     estimation = [log(nominal, 'first', 'step', FRICTION, PULLED)]
     validation = [log(nominal, 'second', 'random_y_linear', FRICTION)]
-    found = extension_that_wins(nominal, (FRICTION, PULLED), estimation, validation)
+    found = extension_that_wins(nominal, (FRICTION, PULLED), estimation, validation, TOLERATED)
     assert [cause.name for cause in found.causes] == [FRICTION.name]
     assert [cause.name for cause in found.withdrawn] == [PULLED.name]
     (gain,) = (item for item in found.gains if item.axis == 'y_linear')
@@ -55,7 +58,7 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
         for name, motion in (('first', 'step'), ('second', 'random_y_linear'))
     ]
     begun = FRICTION.with_values({'friction': 1.0}), PULLED.with_values({'force': 1.0})
-    found = extension_that_wins(nominal, begun, records[:1], records[1:])
+    found = extension_that_wins(nominal, begun, records[:1], records[1:], TOLERATED)
     assert not found.withdrawn
     friction, pulled = found.causes
     assert friction.values['friction'] == pytest.approx(5.0, rel=0.05)
@@ -66,7 +69,7 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
 
 def test_without_causes_nothing_is_gained_or_lost(nominal):
     record = log(nominal, 'only', 'step')
-    found = extension_that_wins(nominal, (), [record], [record])
+    found = extension_that_wins(nominal, (), [record], [record], TOLERATED)
     assert found.causes == found.withdrawn == ()
     assert [item.improvement_percent for item in found.gains] == pytest.approx([0.0] * 3)
 
@@ -94,6 +97,6 @@ def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, rati
     monkeypatch.setattr('waferbot_twin.validation.holdout.gains', gains)
     monkeypatch.setattr('waferbot_twin.validation.holdout._fitted', lambda problem, causes: causes)
     monkeypatch.setattr('waferbot_twin.validation.holdout.Problem', lambda nominal, records: None)
-    found = extension_that_wins(nominal, (FRICTION,), [], [])
+    found = extension_that_wins(nominal, (FRICTION,), [], [], TOLERATED)
     assert bool(found.causes) == kept
     assert bool(found.withdrawn) != kept

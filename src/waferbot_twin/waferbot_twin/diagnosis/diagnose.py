@@ -147,7 +147,9 @@ def diagnose(
     pool = CandidatePool(problem.with_coloured_forces(), effects, settings, progress, workers)
     posterior = infer(pool).fitted_to(problem)
     named = tuple(cause for cause in posterior.found.causes if not is_discrepancy(cause))
-    extension = extension_that_wins(nominal, named, estimation, validation)
+    extension = extension_that_wins(
+        nominal, named, estimation, validation, settings.tolerated_loss
+    )
     notes += [
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
         for cause in extension.withdrawn

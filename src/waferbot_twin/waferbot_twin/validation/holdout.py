@@ -4,8 +4,8 @@ Does an extension win in logs that were not used for its fit? What loses there i
 
 Causes are fitted to the estimation data alone. The extended model loses where its RMS errors in the
 validation data, over those of the nominal model, have a mean square over the axes that is larger
-than one. Then the cause without which that is smallest is withdrawn, and what is left is asked
-again.
+than one, by more than is tolerated. Then the cause without which that is smallest is withdrawn, and
+what is left is asked again.
 """
 
 from __future__ import annotations
@@ -23,9 +23,6 @@ from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.validation.gain import AxisGain, gains
 
-TOLERANCE = 0.02
-"""Rise of the mean square up to which nothing is lost: 1 % in RMS."""
-
 
 @dataclass(frozen=True)
 class Extension:
@@ -41,17 +38,19 @@ def extension_that_wins(
     causes: tuple[Cause, ...],
     estimation: Sequence[Record],
     validation: Sequence[Record],
+    tolerated_loss: float,
 ) -> Extension:
     """
     Return those of some causes that win in the validation data.
 
+    `tolerated_loss` is the rise of the mean square up to which nothing is lost (`inference.settings`).
     Raises `UserError` if the nominal model does not run there.
     """
     kept = _fitted(Problem(nominal, estimation), causes)
     withdrawn: list[Cause] = []
     while kept:
         ratio, found = _ratio(nominal, kept, validation)
-        if ratio <= 1.0 + TOLERANCE:
+        if ratio <= 1.0 + tolerated_loss:
             return Extension(kept, tuple(withdrawn), found)
         fewer = [(*kept[:place], *kept[place + 1 :]) for place in range(len(kept))]
         ratios = [_ratio(nominal, one, validation)[0] for one in fewer]
