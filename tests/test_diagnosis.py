@@ -134,9 +134,6 @@ def test_a_hidden_effect_is_named_with_axis_and_size_and_its_correction_gains(ra
     right_once_or_twice_of_three(hide_and_seek, random, tmp_path)
 
 
-@pytest.mark.xfail(
-    reason='in some empty logs a floor vibration is named on Y-Rotate, the axis with two encoders'
-)
 @pytest.mark.slow
 def test_nothing_hidden_nothing_found(random, tmp_path):
     right_once_or_twice_of_three(seek_nothing, random, tmp_path)

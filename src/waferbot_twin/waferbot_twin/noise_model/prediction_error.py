@@ -41,7 +41,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
-from waferbot_twin.noise_model.motion_basis import without_motion
 from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
 Array = NDArray[np.float64]
@@ -56,8 +55,8 @@ class Noise:
     perfect fit is not infinitely likely. `order` is that of the autoregression, 0 for white noise.
     `beside` says how many places further on in the list of channels that one is with which it makes
     a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
-    the same times. With `shapes` the spectrum is a sum of those (`variance_components`), not any one; of
-    a pair any that what does not go with the motion has.
+    the same times. With `shapes` the spectrum of a channel by itself is a sum of those
+    (`variance_components`), not any one.
     """
 
     floor: float
@@ -126,8 +125,6 @@ def _prediction_error(channels: Sequence[Array], place: int, noise: Noise) -> Pr
         taps = prediction_filter(channels[place], order, noise.shapes)
         return PredictionError(taps, np.zeros(0), 0)
     both = [channels[place + further] for further in dict.fromkeys((0, noise.beside))]
-    if noise.shapes is not None and len(both[0]) == len(noise.shapes.motion):
-        both = [without_motion(channel, noise.shapes.motion) for channel in both]
     both = [channel - channel.mean() for channel in both]
     moments = np.block([[_moments(x, y, order) for y in both] for x in both])
     variances = np.repeat(np.diag(moments)[:: order + 1], order + 1)

@@ -8,8 +8,8 @@ cycle for it (`Problem.quick`). Signatures are found once, with the causes that 
 later round finds anew only those that look most likely.
 
 An effect that changes the structure of a machine as soon as there is any of it, and only then
-grows in proportion, begins where there is a little: what that little changes is taken from the
-residuals first.
+grows in proportion, begins where there is a little: the linear problem is about the model with that
+little, with its own noise.
 
 An effect with a threshold changes nothing while there is little of it. It is tried on a
 `threshold_grid`, and its signature is the whole of what it changes there, as it is or fitted with a
@@ -19,7 +19,7 @@ factor; so is that of an effect whose size the logs show themselves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,15 +54,16 @@ CHUNK = 8
 @dataclass(frozen=True)
 class Change:
     """
-    What a candidate changes in the residuals: a `signature` by block, as in
-    `stacked_least_squares`.
+    What a candidate changes in the residuals: a `signature` by block, as in `stacked_least_squares`.
 
-    `there` is what the little of it that there is changes already: arrays (samples of all
-    channels,), by block; of most there is none.
+    Of one that begins where there is a little, `begun` is the model with that, about which the
+    signature is, with its own noise: a part that lets go changes what an observer follows. `gained`
+    is by how much, in 2 ln L, it is likelier than the model without. Of most there is none.
     """
 
     signature: Signature
-    there: Mapping[str, Array]
+    begun: Hypothesis | None = None
+    gained: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -163,13 +164,19 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
     """Return what the last of `causes` changes; raises `UserError` if the simulation blows up."""
     rival = causes[-1]
     if _tried_as_a_whole(problem, rival):
-        return Change(whole_change(problem, base, causes), {})
+        return Change(whole_change(problem, base, causes))
     if rival.effect.begins_at == 0.0:
-        return Change(signature(problem, base, causes, len(causes) - 1), {})
+        return Change(signature(problem, base, causes, len(causes) - 1))
     begun = evaluate(problem, causes)
+    blocks = problem.touched(rival.effect, rival.axis)
+    without = problem.judge({block: base.residuals[block] for block in blocks})
     return Change(
         signature(problem, begun, causes, len(causes) - 1),
-        {block: column[:, 0] for block, column in whole_change(problem, base, causes).items()},
+        begun,
+        sum(
+            2.0 * (begun.fits[block].log_likelihood - without[block].log_likelihood)
+            for block in blocks
+        ),
     )
 
 
@@ -203,17 +210,18 @@ def _screen(
     of_base: Sequence[Signature],
     scales: Sequence[float],
 ) -> list[Screened]:
-    every = _white(base, side_by_side(of_base, [_columns(item) for item in of_base]))
+    together = side_by_side(of_base, [_columns(item) for item in of_base])
+    every = _white(base, together)
     found = []
     for rival, change in asked:
         shown = {block: matrix for block, matrix in change.signature.items() if matrix.any()}
         if not shown:
             continue
-        own = _white(base, shown)
-        there = _white(
-            base, {block: change.there[block][:, None] for block in shown if block in change.there}
-        )
-        linear = _Linear.of(base, own, there, every)
+        about = change.begun or base
+        beside = every
+        if change.begun is not None:
+            beside = _white(about, {b: together[b] for b in shown if b in together})
+        linear = _Linear.of(about, _white(about, shown), beside, change.gained)
         if _tried_as_a_whole(problem, rival):
             item = linear.as_a_whole(rival)
         else:
@@ -259,16 +267,16 @@ class _Linear:
     squares_as_it_is: float
 
     @classmethod
-    def of(cls, base: Hypothesis, own: _White, there: _White, beside: _White) -> _Linear:
-        """Fit `own`, of which `there` is there already, beside others."""
+    def of(cls, about: Hypothesis, own: _White, beside: _White, gained: float) -> _Linear:
+        """Fit `own` about a hypothesis, which has `gained` so much already, beside others."""
         before: list[Array] = []
         rows: list[Array] = []
         colours: list[Colour] = []
         for block, parts in own.items():
-            fit = base.fits[block]
+            fit = about.fits[block]
             others = beside.get(block)
             for place, (part, left) in enumerate(zip(parts, fit.whitened, strict=True)):
-                before.append(left + there[block][place][:, 0] if block in there else left)
+                before.append(left)
                 rows.append(np.hstack([part, others[place]]) if others else part)
             colours += fit.colours
         count = next(iter(own.values()))[0].shape[1]
@@ -284,9 +292,8 @@ class _Linear:
         after = [one + part @ solution for one, part in zip(before, rows, strict=True)]
         change = [one - two for one, two in zip(before, after, strict=True)]
         power = power_along(after, change, colours)
-        squares = sum(float(one @ one) for one in before) - sum(float(one @ one) for one in after)
-        began = sum(float(one @ one) for block in own for one in base.fits[block].whitened)
-        squares += began - sum(float(one @ one) for one in before)
+        began = sum(float(one @ one) for one in before)
+        squares = gained + began - sum(float(one @ one) for one in after)
         first = [part[:, 0] for part in rows]
         moved = [one + part for one, part in zip(before, first, strict=True)]
         as_it_is = began - sum(float(one @ one) for one in moved)
