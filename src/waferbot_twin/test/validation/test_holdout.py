@@ -14,11 +14,11 @@ from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
-from waferbot_twin.residuals.problem import Cause, apply_all
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.validation.gain import AxisGain
-from waferbot_twin.validation.holdout import extension_that_wins
+from waferbot_twin.validation.holdout import extension_that_wins, fitted_to, without_refuted
 
-TOLERATED = Settings().tolerated_loss
+TOLERATED, LEVEL = Settings().tolerated_loss, Settings().refutation_level
 
 AXES = ('y_linear', 'x_rotate', 'y_rotate')
 FRICTION = Cause(find('coulomb_friction'), 'y_linear', {'friction': 5.0})
@@ -44,7 +44,8 @@ def test_a_cause_of_both_logs_is_kept_and_one_of_the_first_alone_is_withdrawn(no
     """Somebody leaned against the machine while the log for estimation was taken."""
     estimation = [log(nominal, 'first', 'step', FRICTION, PULLED)]
     validation = [log(nominal, 'second', 'random_y_linear', FRICTION)]
-    found = extension_that_wins(nominal, (FRICTION, PULLED), estimation, validation, TOLERATED)
+    causes = fitted_to(Problem(nominal, estimation), (FRICTION, PULLED))
+    found = extension_that_wins(nominal, causes, validation, TOLERATED)
     assert [cause.name for cause in found.causes] == [FRICTION.name]
     assert [cause.name for cause in found.withdrawn] == [PULLED.name]
     (gain,) = (item for item in found.gains if item.axis == 'y_linear')
@@ -58,7 +59,8 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
         for name, motion in (('first', 'step'), ('second', 'random_y_linear'))
     ]
     begun = FRICTION.with_values({'friction': 1.0}), PULLED.with_values({'force': 1.0})
-    found = extension_that_wins(nominal, begun, records[:1], records[1:], TOLERATED)
+    causes = fitted_to(Problem(nominal, records[:1]), begun)
+    found = extension_that_wins(nominal, causes, records[1:], TOLERATED)
     assert not found.withdrawn
     friction, pulled = found.causes
     assert friction.values['friction'] == pytest.approx(5.0, rel=0.05)
@@ -69,7 +71,7 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
 
 def test_without_causes_nothing_is_gained_or_lost(nominal):
     record = log(nominal, 'only', 'step')
-    found = extension_that_wins(nominal, (), [record], [record], TOLERATED)
+    found = extension_that_wins(nominal, (), [record], TOLERATED)
     assert found.causes == found.withdrawn == ()
     assert [item.improvement_percent for item in found.gains] == pytest.approx([0.0] * 3)
 
@@ -95,8 +97,19 @@ def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, rati
         ]
 
     monkeypatch.setattr('waferbot_twin.validation.holdout.gains', gains)
-    monkeypatch.setattr('waferbot_twin.validation.holdout._fitted', lambda problem, causes: causes)
-    monkeypatch.setattr('waferbot_twin.validation.holdout.Problem', lambda nominal, records: None)
-    found = extension_that_wins(nominal, (FRICTION,), [], [], TOLERATED)
+    found = extension_that_wins(nominal, (FRICTION,), [], TOLERATED)
     assert bool(found.causes) == kept
     assert bool(found.withdrawn) != kept
+
+
+def test_what_the_validation_data_refute_is_withdrawn_and_what_they_do_not_show_is_kept(nominal):
+    """A wrong bias of the controller is seen to the last bit; nobody moves the third axis."""
+    bias = Cause(find('wrong_bias'), 'x_rotate', {'difference': 200.0})
+    unseen = Cause(find('viscous_friction'), 'y_rotate', {'damping': 1e-4})
+    hidden = FRICTION, bias, unseen
+    estimation = [log(nominal, 'first', 'step', *hidden, PULLED)]
+    validation = [log(nominal, 'second', 'random_y_linear', *hidden)]
+    causes = fitted_to(Problem(nominal, estimation), (*hidden, PULLED))
+    kept, refuted = without_refuted(Problem(nominal, validation), causes, LEVEL)
+    assert [cause.name for cause in refuted] == [PULLED.name]
+    assert {cause.name for cause in kept} == {cause.name for cause in hidden}

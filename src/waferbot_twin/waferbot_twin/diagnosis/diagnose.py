@@ -5,8 +5,8 @@ A diagnosis from beginning to end: logs in, causes, what they gain, what stays u
 The posterior over causes is that of all logs together (`inference.single_effects`). What is
 reported as gain is from logs that were not used for the fit: the same causes are fitted to the
 estimation data alone, and the extended model is simulated in the validation data. With a single
-log its last part validates. A cause without which the validation data are explained better is
-withdrawn (`validation.holdout`).
+log its last part validates. A cause that the validation data refute, or without which the extended
+model is nearer to them, is withdrawn (`validation.holdout`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.validation.gain import AxisGain
-from waferbot_twin.validation.holdout import extension_that_wins
+from waferbot_twin.validation.holdout import extension_that_wins, fitted_to, without_refuted
 
 HELD_OUT = 0.4
 """Share of a single log that validates what was found in the rest."""
@@ -146,15 +146,24 @@ def diagnose(
     effects = [*offered_effects(problem, without), *tables(nominal, records)]
     pool = CandidatePool(problem.with_coloured_forces(), effects, settings, progress, workers)
     posterior = infer(pool).fitted_to(problem)
-    named = tuple(cause for cause in posterior.found.causes if not is_discrepancy(cause))
-    extension = extension_that_wins(
-        nominal, named, estimation, validation, settings.tolerated_loss
+    kept, refuted = without_refuted(
+        Problem(nominal, validation).with_coloured_forces(),
+        fitted_to(Problem(nominal, estimation), posterior.found.causes),
+        settings.refutation_level,
     )
+    named = tuple(cause for cause in kept if not is_discrepancy(cause))
+    extension = extension_that_wins(nominal, named, validation, settings.tolerated_loss)
+    notes += [
+        f'{cause.name} was withdrawn: with values of the estimation data, the validation data refute it'
+        for cause in refuted
+        if not is_discrepancy(cause)
+    ]
     notes += [
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
         for cause in extension.withdrawn
     ]
-    posterior = posterior.without(problem, [cause.name for cause in extension.withdrawn])
+    withdrawn = [*refuted, *extension.withdrawn]
+    posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
     causes = _found_causes(problem, posterior, settings)
     extended = apply_all(nominal, [item.cause for item in causes])
@@ -164,7 +173,7 @@ def diagnose(
         extended,
         _verdict(causes, left),
         causes,
-        list(extension.withdrawn),
+        [cause for cause in withdrawn if not is_discrepancy(cause)],
         left,
         extension.gains,
         _residual_rms(problem, posterior.nothing),

@@ -1,11 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Does an extension win in logs that were not used for its fit? What loses there is withdrawn.
+Does an extension hold in logs that were not used for its fit? What does not is withdrawn.
 
-Causes are fitted to the estimation data alone. The extended model loses where its RMS errors in the
-validation data, over those of the nominal model, have a mean square over the axes that is larger
-than one, by more than is tolerated. Then the cause without which that is smallest is withdrawn, and
-what is left is asked again.
+Causes are fitted to the estimation data alone, and asked twice in the validation data.
+
+**Each block alone.** With and without a cause the validation data have the likelihoods L_1 and L_0
+(`estimation.evidence.gain`). If the cause is true, then by Markov's inequality
+
+    P(L_1 / L_0 < level) <= level,                                                                 (1)
+
+whatever the noise: what is below is refuted. One that the validation data do not show is not. Of
+several the one that is refuted most is withdrawn, and what is left is asked again.
+
+**All blocks together, in closed loop.** The extended model loses where its RMS errors, over those of the
+nominal model, have a mean square over the axes that is larger than one, by more than is tolerated.
+Then the cause without which that is smallest is withdrawn, and what is left is asked again.
 """
 
 from __future__ import annotations
@@ -18,7 +27,9 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.validation.gain import AxisGain, gains
@@ -33,20 +44,59 @@ class Extension:
     gains: list[AxisGain]
 
 
+def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
+    """Return causes with the values of these logs, as they are where they do not stand there."""
+    try:
+        return fit_causes(estimation, causes).causes
+    except UserError:
+        return causes
+
+
+def without_refuted(
+    validation: Problem, causes: tuple[Cause, ...], level: float
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+    """
+    Return those of some causes that the validation data do not refute, and the others.
+
+    Equation (1) at a `level`. Values are those of the estimation data (`fitted_to`).
+    """
+    kept, refuted = causes, []
+    while kept:
+        gains_of_each = [_gain_of(validation, kept, place) for place in range(len(kept))]
+        worst = int(np.argmin(gains_of_each))
+        if gains_of_each[worst] >= math.log(level):
+            break
+        refuted.append(kept[worst])
+        # The others keep their values: fitted anew they would stand in for what was in that log alone.
+        kept = (*kept[:worst], *kept[worst + 1 :])
+    return kept, tuple(refuted)
+
+
+def _gain_of(problem: Problem, causes: tuple[Cause, ...], place: int) -> float:
+    """Return ln of the likelihood ratio of causes with one and without; infinite if it is needed."""
+    try:
+        fewer = evaluate(problem, (*causes[:place], *causes[place + 1 :]))
+    except UserError:
+        return math.inf
+    try:
+        return gain(evaluate(problem, causes), fewer)
+    except UserError:
+        return -math.inf
+
+
 def extension_that_wins(
     nominal: Variant,
     causes: tuple[Cause, ...],
-    estimation: Sequence[Record],
     validation: Sequence[Record],
     tolerated_loss: float,
 ) -> Extension:
     """
-    Return those of some causes that win in the validation data.
+    Return those of some causes, fitted to the estimation data, that win in the validation data.
 
     `tolerated_loss` is the rise of the mean square up to which nothing is lost (`inference.settings`).
     Raises `UserError` if the nominal model does not run there.
     """
-    kept = _fitted(Problem(nominal, estimation), causes)
+    kept = causes
     withdrawn: list[Cause] = []
     while kept:
         ratio, found = _ratio(nominal, kept, validation)
@@ -58,14 +108,6 @@ def extension_that_wins(
         withdrawn.append(kept[worst])
         kept = fewer[worst]
     return Extension((), tuple(withdrawn), gains(nominal, nominal, validation))
-
-
-def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
-    """Return causes with the values of these logs, as they are where they do not stand there."""
-    try:
-        return fit_causes(problem, causes).causes
-    except UserError:
-        return causes
 
 
 def _ratio(

@@ -29,8 +29,11 @@ class Settings:
     endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
                        the one that the command causes disagree, and the latter counts
 
-    correlated_from    correlation of estimates from which on one effect is asked for anew beside another
+    correlated_from    correlation of estimates from which on one effect is asked for anew beside
+                       another
 
+    refutation_level   likelihood ratio, with a cause over without, below which the validation data
+                       refute it: at most the probability that they refute a true one
     tolerated_loss     rise of the mean square error in the validation data (1 % in RMS) up to which an
                        extension does not lose
 
@@ -46,11 +49,18 @@ class Settings:
     most_asked: int = 24
     endogeneity_level: float = 1e-3
     correlated_from: float = 0.1
+    refutation_level: float = 1e-3
     tolerated_loss: float = 0.02
 
     def __post_init__(self) -> None:
         """Check every value."""
-        shares = 'named_from', 'credible_level', 'endogeneity_level', 'correlated_from'
+        shares = (
+            'named_from',
+            'credible_level',
+            'endogeneity_level',
+            'correlated_from',
+            'refutation_level',
+        )
         for name in shares:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise UserError(f'{name} is {getattr(self, name)}; it must be between 0 and 1')
