@@ -11,11 +11,13 @@ class Correction:
     """
     A parameter that was corrected within its usual spread.
 
-    `parameter` says it in words ("viscous friction on X-Rotate"); `nominal`, `found` and the ends of the
-    95 % interval `low`, `high` are in `unit`.
+    `parameter` says it in words ("mass of carriage"), `path` where it stands in the description
+    (`bodies.carriage.mass_kg`); `nominal`, `found` and the ends of the 95 % interval `low`, `high` are
+    in `unit`.
     """
 
     parameter: str
+    path: str
     unit: str
     nominal: float
     found: float

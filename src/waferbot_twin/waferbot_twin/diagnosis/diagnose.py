@@ -21,6 +21,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
+from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, infer
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
@@ -32,7 +33,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, intervals_95
 from waferbot_twin.residuals.from_measured_log import sized_by
-from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.holdout import extension_that_wins, fitted_to, without_refuted
@@ -142,13 +143,15 @@ def diagnose(
         )
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
     nominal = sized_by(records, nominal)
-    problem = Problem(nominal, records)
-    effects = [*offered_effects(problem, without), *tables(nominal, records)]
+    dense, numbers = nuisance(nominal, settings)
+    paths = [item.path for item in numbers]
+    problem = Problem(nominal, records).with_prior(paths)
+    effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
     pool = CandidatePool(problem.with_coloured_forces(), effects, settings, progress, workers)
     posterior = infer(pool).fitted_to(problem)
     kept, refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
-        fitted_to(Problem(nominal, estimation), posterior.found.causes),
+        fitted_to(Problem(nominal, estimation).with_prior(paths), posterior.found.causes),
         settings.refutation_level,
     )
     named = tuple(cause for cause in kept if not is_discrepancy(cause))
@@ -156,7 +159,7 @@ def diagnose(
     notes += [
         f'{cause.name} was withdrawn: with values of the estimation data, the validation data refute it'
         for cause in refuted
-        if not is_discrepancy(cause)
+        if not is_discrepancy(cause) and not is_nuisance(cause)
     ]
     notes += [
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
@@ -166,14 +169,15 @@ def diagnose(
     posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
     causes = _found_causes(problem, posterior, settings)
-    extended = apply_all(nominal, [item.cause for item in causes])
+    corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
+    extended = apply_all(nominal, [*corrected, *(item.cause for item in causes)])
     notes += _stands_for(extended, [item.cause for item in causes])
     return Diagnosis(
         nominal,
         extended,
         _verdict(causes, left),
         causes,
-        [cause for cause in withdrawn if not is_discrepancy(cause)],
+        [cause for cause in withdrawn if not is_discrepancy(cause) and not is_nuisance(cause)],
         left,
         extension.gains,
         _residual_rms(problem, posterior.nothing),
@@ -182,11 +186,16 @@ def diagnose(
         settings,
         posterior.nothing,
         posterior.found,
-        {block: problem.channel_names(block) for block in posterior.nothing.residuals},
+        {
+            block: problem.channel_names(block)
+            for block in posterior.nothing.residuals
+            if block in UNITS
+        },
         problem,
         posterior.tried,
         time.perf_counter() - begun_s,
         notes,
+        corrections(problem, posterior.found, numbers),
     )
 
 
@@ -219,7 +228,7 @@ def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) ->
     for place, (cause, effect) in enumerate(zip(found.causes, posterior.effects, strict=True)):
         own = errors[first : first + cause.free]
         first += cause.free
-        if is_discrepancy(cause):
+        if is_discrepancy(cause) or is_nuisance(cause):
             continue
         result.append(
             FoundCause(
@@ -243,7 +252,7 @@ def _credible_set(
     return tuple(
         Alternative(cause if one.cause.name == cause.name else one.cause, one.probability)
         for one in members
-        if not is_discrepancy(one.cause)
+        if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
     )
 
 
@@ -262,6 +271,8 @@ def _residual_rms(problem: Problem, hypothesis: Hypothesis) -> dict[str, dict[st
     """Return the RMS residual of every block and channel, all logs together."""
     found: dict[str, dict[str, float]] = {}
     for block, residuals in hypothesis.residuals.items():
+        if block not in UNITS:
+            continue
         parts: dict[str, list[np.ndarray]] = {}
         for name, residual in zip(problem.channel_names(block), residuals, strict=True):
             parts.setdefault(name, []).append(residual)

@@ -74,7 +74,8 @@ def draw_residuals(diagnosis: Diagnosis) -> Figure:
     """
     problem = diagnosis.problem
     shown = []
-    for block, residuals in diagnosis.before.residuals.items():
+    for block in diagnosis.channels:
+        residuals = diagnosis.before.residuals[block]
         for place, channel in enumerate(problem.channels(block)):
             first = channel.log.record is problem.records[0]
             if first and np.sqrt(np.mean(residuals[place] ** 2)) > ROUNDING:

@@ -36,7 +36,8 @@ class Parameter:
     says how the others act. A `fixed` one is given by how the machine was made (teeth, poles, a
     turn): it is one of the trials, unless logs say plainly that it is none of them. What is held in
     whole numbers changes only in steps of `resolution`: a difference quotient must not be taken over
-    less. 0 is continuous.
+    less. 0 is continuous. `spread` is the standard deviation that it usually has about `neutral`: a
+    prior that is part of the fit (`residuals.prior_block`); 0 where there is none.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Parameter:
     shape: bool = False
     resolution: float = 0.0
     fixed: bool = False
+    spread: float = 0.0
 
 
 Trials = Callable[[Variant, str], tuple[Values, ...]]

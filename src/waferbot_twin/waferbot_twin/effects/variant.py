@@ -43,6 +43,8 @@ class Overlay:
     machine: Mapping[str, Any] = field(default_factory=dict)
     pmac: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     copley: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    """How far parameters are off, in the standard deviations that they usually have."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,8 @@ class Variant:
     """RMS current (A) of each axis in logs, where nothing is known of an amplifier."""
     force_driven: frozenset[str] = frozenset()
     """Axes whose logs have the force and no current: what a motor makes of one is not in them."""
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    """Parameters that are off, each in the standard deviations that it usually has (`Overlay`)."""
 
     @property
     def base(self) -> Variant:
@@ -92,6 +96,7 @@ class Variant:
             pmac=_laid_over(self.pmac, overlay.pmac),
             copley=_laid_over(self.copley, overlay.copley),
             origin=self.base,
+            deviations={**self.deviations, **overlay.deviations},
         )
 
     @cached_property

@@ -22,7 +22,10 @@ against none of it is
 
 (Laplace's approximation; G is the w' V^-1 w / 2 of the linear case). A shape parameter, a phase or a
 frequency, has no size: its prior has the width of what is possible, so that whoever tries many
-frequencies pays for it.
+frequencies pays for it. Parameters with a usual spread s have their prior in the fit already
+(`residuals.prior_block`), and with it in G and V; what is left of (2) is
+
+    ln BF = G + 1/2 ln |V| - sum over them of ln s.                                               (3)
 """
 
 from __future__ import annotations
@@ -86,6 +89,9 @@ def log_occam(
     """
     if not parameters:
         return 0.0
+    if all(item.spread > 0.0 for item in parameters):
+        spreads = np.array([item.spread for item in parameters])
+        return _half_log_det(spread / np.outer(spreads, spreads))
     away, sizes, widths = [], [], []
     for item in parameters:
         value = cause.values[item.name]

@@ -24,10 +24,11 @@ A reading that is late is compared with where the plant was by then, as correcte
 latter the observer, and with it the spread of e, would depend on the delay.
 
 What moves together as long as nothing gives is corrected together, by its first encoder: a carriage
-with its counterweight, an axis with its motor. A model in which a stiff connection gives is therefore
-held as the rigid one is. Where a spring joins two coordinates that both have an encoder, a motor and
-its load, the second holds its own coordinate by what the first leaves of its error: corrected with the
-load alone, a motor in the gap of its gears bounces for ever, as each correction gives back to it what
+with its counterweight, an axis with its motor. A model in which a connection gives is held by the
+Kalman filter of which that is the limit (`flexible_observer`): a ring that noise of the currents makes
+in the simulation alone is taken out of it again. Where a spring joins two coordinates that both have
+an encoder, a motor and its load, the second holds its own coordinate by what the first leaves of its
+error: corrected with the load alone, a motor in the gap of its gears bounces for ever, as each correction gives back to it what
 an impact took. With k the slope of the spring's force now, zero in the gap, and J what it carries,
 that correction is
 
@@ -66,6 +67,7 @@ from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.prediction_error import Noise
 from waferbot_twin.noise_model.variance_components import COLOURED_HZ, Shapes
+from waferbot_twin.residuals.flexible_observer import kalman_gains
 from waferbot_twin.residuals.record import Array, Record, common_step
 
 OBSERVER_HZ = 80.0
@@ -128,6 +130,7 @@ class PlantBlock:
         self.rates_hz: list[float] = []
         self._common_steps: list[int] = []
         self._observer_hz = np.zeros(len(ENCODERS))
+        self._usual_rows = np.zeros(len(ENCODERS), np.int64)
         self._ends = np.zeros(record.reading.shape, np.bool_)
         floors = []
         for place in self._places:
@@ -137,6 +140,7 @@ class PlantBlock:
             self._observer_hz[place] = min(observer_hz, rate_hz / READINGS_PER_CYCLE)
             settling = SETTLING_CYCLES / self._observer_hz[place] * timing.encoder_hz
             group = max(1, round(rate_hz / timing.servo_hz))
+            self._usual_rows[place] = round(group * usual)
             samples, ends = _samples(rows, group, GAP * usual, settling)
             self._ends[ends, place] = True
             judged = samples[:, 0] >= round(record.judged_from_s * timing.encoder_hz)
@@ -251,6 +255,8 @@ class PlantBlock:
         p = parameters[0]
         together, behind = self._together(machine, p)
         self._stand_where_measured(state, parameters, together, behind)
+        standing = _standing(machine.description, p, together)
+        gains = self._gains(machine, state, parameters, together, behind, standing)
         innovation = np.zeros_like(record.reading)
         blown_up = _drive(
             state,
@@ -262,10 +268,12 @@ class PlantBlock:
             2.0 * math.pi * self._observer_hz,
             together,
             behind,
+            *gains,
+            self._usual_rows,
             record.reading,
             np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
             self._ends,
-            _standing(machine.description, p, together),
+            standing,
             np.zeros(9),
             innovation,
         )
@@ -277,6 +285,29 @@ class PlantBlock:
             innovation[rows, place].mean(axis=1)
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
+
+    def _gains(
+        self,
+        machine: Machine,
+        state: np.ndarray,
+        parameters: np.ndarray,
+        together: Array,
+        behind: NDArray[np.intp],
+        standing: NDArray[np.bool_],
+    ) -> tuple[Array, Array]:
+        """Return the gains of `flexible_observer`, without rows where nothing gives."""
+        timing = self.record.timing
+        found = kalman_gains(
+            machine,
+            state,
+            parameters,
+            together,
+            behind,
+            standing,
+            2.0 * math.pi * self._observer_hz,
+            self._usual_rows * timing.encoder_divider * timing.tick_s,
+        )
+        return found or (together[:0], together[:0])
 
     def _together(self, machine: Machine, p: np.void) -> tuple[Array, NDArray[np.intp]]:
         """
@@ -386,6 +417,9 @@ def _drive(
     observer,
     together,
     behind,
+    gain_position,
+    gain_velocity,
+    usual_rows,
     reading,
     late_s,
     ends,
@@ -402,8 +436,10 @@ def _drive(
     its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends`
     (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `together` (encoders, z) says how far
     it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
-    the other end. Coordinates of `standing` (z,) do not move. Returns the coordinate for which the
-    simulation blew up, or -1.
+    the other end. `gain_position` and `gain_velocity` (encoders, z) are those of a plant that gives
+    (`flexible_observer`; 0, z where nothing does) for readings `usual_rows` (encoders,) apart.
+    Coordinates of `standing` (z,) do not move. Returns the coordinate for which the simulation blew
+    up, or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -466,8 +502,20 @@ def _drive(
                     time_s = passed * divider * p['step'] * p['substeps']
                     _observer_gains(observer[encoder], time_s, gains[:, encoder])
                 error /= per_unit
-                left[encoder] = (1.0 - gains[0, encoder]) * error
                 spring, before = behind[encoder]
+                if gain_position.shape[0] and spring < 0 and passed == usual_rows[encoder]:
+                    left[encoder] = (1.0 - gain_position[encoder, coordinate]) * error
+                    for other in range(together.shape[1]):
+                        s['position'][other] += gain_position[encoder, other] * error
+                        s['velocity'][other] += gain_velocity[encoder, other] * error
+                    for other in range(reading.shape[1]):
+                        other_coordinate = p['encoder_coordinate'][other]
+                        moved = gain_position[encoder, other_coordinate] * error
+                        moved *= p['counts_per_unit'][other]
+                        corrected[other] += moved
+                        s['position_before'][other] += moved
+                    continue
+                left[encoder] = (1.0 - gains[0, encoder]) * error
                 if spring >= 0:
                     error -= together[before, coordinate] * left[before]
                     stiffness = spring_laws.slope_now(s, p, spring, s['position'])

@@ -19,6 +19,7 @@ from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.controller_block import controller_block
 from waferbot_twin.residuals.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
 from waferbot_twin.residuals.plant_block import PlantBlock
+from waferbot_twin.residuals.prior_block import PriorBlock
 from waferbot_twin.residuals.record import Array, Record
 
 PLANT, CONTROLLER = 'plant', 'controller'
@@ -26,6 +27,9 @@ AMPLIFIER, WINDINGS, CURRENT_LOOP = 'amplifier', 'windings', 'current loop'
 
 UNITS = {PLANT: 'counts', CONTROLLER: 'A', AMPLIFIER: 'V', WINDINGS: 'A', CURRENT_LOOP: 'A'}
 """The blocks that can be replayed alone, and the unit of their residuals."""
+
+PRIOR = 'prior'
+"""What is known of parameters before any log, as one block more (`prior_block`)."""
 
 PLAIN = 30.0
 """Difference in 2 ln L from which on an exact block plainly does something else than its model."""
@@ -162,7 +166,9 @@ class Problem:
             found.append(WINDINGS)
         if overlay.copley or ELECTRICAL & overlay.machine.keys():
             found.append(CURRENT_LOOP)
-        return tuple(block for block in found if self.blocks[block])
+        if overlay.deviations:
+            found.append(PRIOR)
+        return tuple(block for block in found if self.blocks.get(block))
 
     def is_exact_limit(self, cause: Cause) -> bool:
         """Return whether a cause is a limit in exact blocks alone: it acts from one tick to the next."""
@@ -196,6 +202,14 @@ class Problem:
         other.blocks = {**self.blocks, PLANT: coloured}
         return other
 
+    def with_prior(self, names: Sequence[str]) -> Problem:
+        """Return the same problem with the prior of parameters that have a usual spread."""
+        if not names:
+            return self
+        other = copy.copy(self)
+        other.blocks = {**self.blocks, PRIOR: [PriorBlock(self.records[0], names)]}
+        return other
+
     def quick(self) -> Problem:
         """Return the same problem with longer steps of the plant: for what a cause changes in it."""
         other = copy.copy(self)
@@ -220,7 +234,7 @@ class Problem:
         return [
             block
             for block, parts in self.blocks.items()
-            if parts and not any(noise.order for noise in self.noises(block))
+            if parts and block != PRIOR and not any(noise.order for noise in self.noises(block))
         ]
 
     def less_likely_than_nothing(self, block: str, residuals: Sequence[Array]) -> dict[str, float]:

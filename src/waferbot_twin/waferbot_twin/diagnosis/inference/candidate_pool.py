@@ -14,8 +14,10 @@ finds only those anew whose blocks these change.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 
+from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
@@ -52,7 +54,11 @@ _Asked = tuple[_Values, _Beside, _Beside]
 
 
 class CandidatePool:
-    """The candidates in logs, with all that has been found out about them."""
+    """
+    The candidates in logs, with all that has been found out about them.
+
+    `names` has every `effect:axis` among the candidates for a cause, once.
+    """
 
     def __init__(
         self,
@@ -66,6 +72,8 @@ class CandidatePool:
         self.problem, self.effects, self.settings = problem, effects, settings
         self.progress, self.workers = progress, workers
         self._candidates = candidates(problem, effects)
+        every = (cause.name for cause in self._candidates if not is_nuisance(cause))
+        self.names: list[str] = list(dict.fromkeys(every))
         self._beside: Sequence[Cause] = ()
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
@@ -73,14 +81,40 @@ class CandidatePool:
         self._at_lines: dict[_Lines, list[Screened]] = {}
         self._damped: dict[_Beside, list[Screened]] = {}
 
-    @property
-    def names(self) -> list[str]:
-        """Every `effect:axis` among the candidates, once."""
-        return list(dict.fromkeys(cause.name for cause in self._candidates))
+    def log_prior(self, cause: Cause) -> float:
+        """
+        Return ln of the prior odds of a candidate against none.
+
+        `expected_causes` over the number of candidates; even odds that a machine is a little off in
+        everything.
+        """
+        if is_nuisance(cause):
+            return 0.0
+        return math.log(self.settings.expected_causes / len(self.names))
 
     def begin(self, base: Hypothesis) -> None:
-        """Find what every candidate changes beside the causes of `base`, as far as that is not known."""
+        """
+        Find what every candidate changes beside the causes of `base`, as far as that is not known.
+
+        What could not be more probable than none, whatever it changed, is left out.
+        """
         self._beside = base.causes
+        exact = set(self.problem.exact_blocks)
+        # No cause can leave less than nothing over in a block that follows to the last bit.
+        most = {
+            block: 0.5 * sum(self.problem.less_likely_than_nothing(block, left).values())
+            for block, left in base.residuals.items()
+            if block in exact
+        }
+
+        def may_gain(cause: Cause) -> bool:
+            blocks = self.problem.touched(cause.effect, cause.axis)
+            return (
+                not exact.issuperset(blocks)
+                or sum(most[block] for block in blocks) + self.log_prior(cause) > 0.0
+            )
+
+        self._candidates = [cause for cause in self._candidates if may_gain(cause)]
         unknown = {
             key: candidate
             for candidate in self._candidates
@@ -88,6 +122,10 @@ class CandidatePool:
         }
         found = signatures(self.problem, base, list(unknown.values()), self.workers, self.progress)
         self._changes |= zip(unknown, found, strict=True)
+
+    def leave_out(self, name: str) -> None:
+        """Take a candidate out."""
+        self._candidates = [cause for cause in self._candidates if cause.name != name]
 
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""

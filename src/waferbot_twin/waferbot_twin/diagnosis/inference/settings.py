@@ -21,6 +21,9 @@ class Settings:
                        prior probability expected_causes / number of candidates
     prior_scales       standard deviations of an effect's size, in its typical size; each equally
                        probable (a normal scale mixture: heavy tails, much mass near zero)
+    spread_of_masses, spread_of_force_constants, spread_of_frictions
+                       standard deviations, as shares, by which every machine's parameters differ from
+                       its model's (`nuisance`)
     named_from         inclusion probability from which on a cause is named
     credible_level     probability that a credible set holds at least
     most_causes        how many causes are looked for at most
@@ -42,6 +45,9 @@ class Settings:
 
     expected_causes: float = 0.3
     prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
+    spread_of_masses: float = 0.03
+    spread_of_force_constants: float = 0.03
+    spread_of_frictions: float = 0.1
     named_from: float = 0.5
     credible_level: float = 0.95
     most_causes: int = 12
@@ -60,6 +66,9 @@ class Settings:
             'endogeneity_level',
             'correlated_from',
             'refutation_level',
+            'spread_of_masses',
+            'spread_of_force_constants',
+            'spread_of_frictions',
         )
         for name in shares:
             if not 0.0 < getattr(self, name) < 1.0:

@@ -55,16 +55,22 @@ PASSES = 2
 
 @dataclass(frozen=True)
 class Member:
-    """A candidate for one effect, fitted beside the others: ln BF and posterior probability."""
+    """A candidate for one effect, fitted beside the others: ln BF, ln of its prior odds, probability."""
 
     found: Hypothesis
     log_evidence: float
+    log_prior: float
     probability: float = 0.0
 
     @property
     def cause(self) -> Cause:
         """The candidate itself."""
         return self.found.causes[-1]
+
+    @property
+    def log_odds(self) -> float:
+        """Ln of its posterior odds against none."""
+        return self.log_prior + self.log_evidence
 
 
 @dataclass(frozen=True)
@@ -153,20 +159,82 @@ def infer(pool: CandidatePool) -> Posterior:
 
     Raises `UserError` if the nominal model does not run in their motions.
     """
-    problem, settings = pool.problem, pool.settings
-    nothing = found = evaluate(problem)
+    nothing = found = evaluate(pool.problem)
     pool.begin(nothing)
     effects: list[SingleEffect] = []
-    asked = 0
-    while len(effects) < settings.most_causes:
+    most = pool.settings.most_asked
+    while True:
+        found, effects, asked = _ask_on(pool, found, effects, most)
+        most -= asked
+        found, effects = _ask_again(pool, found, effects, most)
+        feigned = _feigned(pool, found, effects)
+        if feigned is None:
+            break
+        pool.leave_out(feigned)
+        found, effects = _without(pool.problem, found, effects, feigned)
+    return Posterior(nothing, found, tuple(effects), len(pool.names))
+
+
+def _ask_on(
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
+) -> tuple[Hypothesis, list[SingleEffect], int]:
+    """Add effects as long as one is more probable than none; return how often was asked, too."""
+    asked, effects = 0, list(effects)
+    while len(effects) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
-        if effect is None or effect.inclusion < settings.named_from:
+        if effect is None or effect.inclusion < pool.settings.named_from:
             break
-        found = _fitted(problem, effect.best.found.causes) or effect.best.found
+        found = _fitted(pool.problem, effect.best.found.causes) or effect.best.found
         effects.append(effect)
-    found, effects = _ask_again(pool, found, effects, settings.most_asked - asked)
-    return Posterior(nothing, found, tuple(effects), len(pool.names))
+    return found, effects, asked
+
+
+def _without(
+    problem: Problem, found: Hypothesis, effects: Sequence[SingleEffect], name: str
+) -> tuple[Hypothesis, list[SingleEffect]]:
+    """Return a hypothesis and its effects without one cause, the others fitted anew."""
+    others = tuple(cause for cause in found.causes if cause.name != name)
+    rest = [effect for effect in effects if effect.best.cause.name != name]
+    return _fitted(problem, others) or evaluate(problem, others), rest
+
+
+def _feigned(
+    pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
+) -> str | None:
+    """
+    Return which cause the closed loop's noise has made most plainly, if any.
+
+    Hausman's test presumes that nothing else lacks: what another cause leaves over goes with the
+    command, too. So it is asked last, when no further cause is found.
+    """
+    problem, settings = pool.problem, pool.settings
+    worst, name = 0.0, None
+    for effect in effects:
+        cause = effect.best.cause
+        base, _ = _without(problem, found, (), cause.name)
+        more = _with_last(problem, found, cause.name)
+        gained = instrumented_gain(problem, base, more, settings.endogeneity_level)
+        if gained is None:
+            continue
+        evidence = log_evidence(problem, more, base, settings.prior_scales, gained)
+        odds = evidence + pool.log_prior(more.causes[-1])
+        if odds < worst:
+            worst, name = odds, cause.name
+    return name
+
+
+def _with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
+    """Return the same hypothesis with one of its causes behind the others."""
+    places = sorted(range(len(found.causes)), key=lambda place: found.causes[place].name == name)
+    counts = [len(parameters_of(problem, cause)) for cause in found.causes]
+    firsts = np.cumsum([0, *counts])
+    order = [n for place in places for n in range(firsts[place], firsts[place + 1])]
+    spread = found.covariance
+    if len(spread) == len(order):
+        spread = spread[np.ix_(order, order)]
+    causes = tuple(found.causes[place] for place in places)
+    return replace(found, causes=causes, covariance=spread)
 
 
 def _ask_again(
@@ -232,11 +300,9 @@ def _ask(
     `present` is what is there now and begins where it is. None if nothing could be fitted.
     """
     problem, settings = pool.problem, pool.settings
-    prior = math.log(settings.expected_causes / len(pool.names))
-    screened = pool.screen(base)
-    screened = [item for item in screened if item.score + prior > 0.0]
+    screened = _promising(pool, pool.screen(base))
     if present is None and not screened:
-        screened = [item for item in pool.damped_rings(base) if item.score + prior > 0.0]
+        screened = _promising(pool, pool.damped_rings(base))
     if present is not None:
         screened = [item for item in screened if item.cause.name != present.name]
         best = screened[0].likelihood if screened else 0.0
@@ -247,11 +313,19 @@ def _ask(
     fitted += [free for one in fitted if (free := released(problem, one)) is not None]
     fitted = [one for one in fitted if not _on_a_bound(problem, one.causes[-1])]
     members = [
-        Member(one, log_evidence(problem, one, base, settings.prior_scales)) for one in fitted
+        Member(
+            one,
+            log_evidence(problem, one, base, settings.prior_scales),
+            pool.log_prior(one.causes[-1]),
+        )
+        for one in fitted
     ]
-    return _posterior(
-        problem, base, members, prior, settings.prior_scales, settings.endogeneity_level
-    )
+    return _posterior(problem, base, members, settings.prior_scales)
+
+
+def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:
+    """Return what the linear problem finds more probable than none."""
+    return [item for item in screened if item.score + pool.log_prior(item.cause) > 0.0]
 
 
 def _on_a_bound(problem: Problem, cause: Cause) -> bool:
@@ -268,56 +342,36 @@ def _posterior(
     problem: Problem,
     base: Hypothesis,
     members: Sequence[Member],
-    prior: float,
     scales: Sequence[float],
-    level: float,
 ) -> SingleEffect | None:
-    """Return equation (2) for fitted candidates with the same prior, ln pi_j = `prior`."""
+    """Return equation (2) for fitted candidates."""
     fitted = sorted(members, key=lambda item: -item.found.log_likelihood)
     if not fitted:
         return None
     # Two candidates are compared along what they do differently, not along what both explain.
     likeliest = fitted[0]
     relative = {
-        id(one): _occam(problem, one, base, scales) - gain(likeliest.found, one.found)
+        id(one): one.log_prior
+        + _occam(problem, one, base, scales)
+        - gain(likeliest.found, one.found)
         for one in fitted
     }
-    ranked: list[Member] = []
+    ranked: dict[str, Member] = {}
     for one in sorted(fitted, key=lambda item: -relative[id(item)]):
-        if all(one.cause.name != other.cause.name for other in ranked):
-            ranked.append(one)
-    best = ranked[0]
-    while ranked:
-        best = ranked[0]
-        gained = None
-        if best.log_evidence + prior > 0.0:
-            gained = instrumented_gain(problem, base, best.found, level)
-        if gained is None:
-            break
-        own = log_evidence(problem, best.found, base, scales, gained)
-        best = replace(best, log_evidence=min(own, best.log_evidence))
-        if best.log_evidence + prior > 0.0 or len(ranked) == 1:
-            break
-        ranked.pop(0)  # noise made it: what else is there is asked
-    others = [one for one in ranked if one.cause.name != best.cause.name]
-    ranked = [best, *others]
-    behind = np.array(
-        [0.0, *(relative[id(one)] - _relative_of(relative, fitted, best) for one in others)]
-    )
-    logs = prior + best.log_evidence + np.minimum(behind, 0.0)
+        ranked.setdefault(one.cause.name, one)
+    members = list(ranked.values())
+    best = members[0]
+    behind = np.array([relative[id(one)] - relative[id(best)] for one in members])
+    logs = best.log_odds + behind
     weights = np.exp(logs - max(float(logs.max()), 0.0))
     none = math.exp(-max(float(logs.max()), 0.0))
     total = float(weights.sum()) + none
     found = [
         replace(member, probability=float(weight / total))
-        for member, weight in zip(ranked, weights, strict=True)
+        for member, weight in zip(members, weights, strict=True)
     ]
     found.sort(key=lambda item: -item.probability)
     return SingleEffect(tuple(found), none / total)
-
-
-def _relative_of(relative: dict[int, float], fitted: Sequence[Member], best: Member) -> float:
-    return max(relative[id(one)] for one in fitted if one.found is best.found)
 
 
 def _occam(problem: Problem, member: Member, base: Hypothesis, scales: Sequence[float]) -> float:

@@ -41,7 +41,7 @@ from waferbot_twin.estimation.hypothesis import (
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import Power, power_along
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
 Progress = Callable[[str, int, int], None]
@@ -220,7 +220,7 @@ def _screen(
         about = change.begun or base
         beside = every
         if change.begun is not None:
-            beside = _white(about, {b: together[b] for b in shown if b in together})
+            beside = _white(about, {b: together[b] for b in (*shown, PRIOR) if b in together})
         linear = _Linear.of(about, _white(about, shown), beside, change.gained)
         if _tried_as_a_whole(problem, rival):
             item = linear.as_a_whole(rival)
@@ -272,14 +272,15 @@ class _Linear:
         before: list[Array] = []
         rows: list[Array] = []
         colours: list[Colour] = []
-        for block, parts in own.items():
+        count = next(iter(own.values()))[0].shape[1]
+        for block in dict.fromkeys([*own, *(name for name in (PRIOR,) if name in beside)]):
             fit = about.fits[block]
             others = beside.get(block)
-            for place, (part, left) in enumerate(zip(parts, fit.whitened, strict=True)):
+            for place, left in enumerate(fit.whitened):
+                part = own[block][place] if block in own else np.zeros((len(left), count))
                 before.append(left)
                 rows.append(np.hstack([part, others[place]]) if others else part)
             colours += fit.colours
-        count = next(iter(own.values()))[0].shape[1]
         width = max(part.shape[1] for part in rows)
         rows = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in rows]
         system, right = np.vstack(rows), -np.concatenate(before)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Nuisance parameters: what every machine has a little different from its model.
+
+Masses, inertias, force constants and frictions are never exactly those of the data sheets. Together
+they are one dense effect beside the sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics
+9, 2013: sparse effects and many small ones), each with the prior
+
+    p = p_0 (1 + x),    x ~ N(0, s^2),    s the usual spread of its kind,                          (1)
+
+a part of every fit (`residuals.prior_block`). It competes with the causes as a whole: where one thing
+alone is wrong, that is far more probable than many which happen to look like it; where all are a
+little off, no one of them is a cause. A parameter becomes a cause, beside the dense effect, only
+where it is further off than (1) has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from waferbot_plant.description_drives import FORCE_KEYS
+from waferbot_plant.motors import force_constant
+from waferbot_twin.diagnosis.corrections import Correction
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.effects import places
+from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of, standard_errors
+from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.residuals.problem import Cause, Problem
+
+NAME = 'nuisance_parameters'
+
+MOST = 0.9
+"""How far, as a share of its value, a parameter may be off at most."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """
+    One number of a description: section, name and key where it stands, and its usual spread.
+
+    `words` and `unit` are for the report; `value` what the model has there.
+    """
+
+    section: str
+    name: str
+    key: str
+    spread: float
+    words: str
+    unit: str
+    value: float
+
+    @property
+    def path(self) -> str:
+        """The place in the description as one word."""
+        return f'{self.section}.{self.name}.{self.key}'
+
+
+def numbers(variant: Variant, settings: Settings) -> list[Number]:
+    """Return every number of a machine that is usually a little off."""
+    return [
+        *_of_bodies(variant, settings),
+        *_of_motors(variant, settings),
+        *_of_frictions(variant, settings),
+    ]
+
+
+def _of_bodies(variant: Variant, settings: Settings) -> list[Number]:
+    found = []
+    spread = settings.spread_of_masses
+    for name, body in variant.description.bodies.items():
+        words = name.replace('_', ' ')
+        found.append(
+            Number('bodies', name, 'mass_kg', spread, f'mass of {words}', 'kg', body.mass)
+        )
+        largest = float(np.max(np.diag(body.inertia)))
+        if largest > 0.0:
+            found.append(
+                Number(
+                    'bodies', name, 'inertia_kg_m2', spread, f'inertia of {words}', 'kg m2', largest
+                )
+            )  # fmt: skip
+    for name, entry in (variant.machine.get('rotors') or {}).items():
+        value = float(places.plain(variant, entry['inertia_kg_m2']))
+        words = f'inertia of {name.replace("_", " ")}'
+        found.append(Number('rotors', name, 'inertia_kg_m2', spread, words, 'kg m2', value))
+    return found
+
+
+def _of_motors(variant: Variant, settings: Settings) -> list[Number]:
+    found = []
+    for axis in places.motor_axes(variant):
+        if axis in variant.base.force_driven:
+            continue
+        motor = variant.description.motors[axis]
+        turns = places.motor_rotary(variant, axis)
+        key = f'back_emf_lead_to_lead_v_s_{"rad" if turns else "m"}'
+        if motor.by_force:
+            key = FORCE_KEYS[turns]
+        found.append(
+            Number(
+                'motors', axis, key, settings.spread_of_force_constants,
+                f'{"torque" if turns else "force"} constant of {axis}',
+                'Nm/A' if turns else 'N/A', force_constant(motor),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _of_frictions(variant: Variant, settings: Settings) -> list[Number]:
+    found = []
+    for name, entry in (variant.machine.get('frictions') or {}).items():
+        if entry is None:
+            continue
+        words = f'friction of {name.replace("_", " ")}'
+        value = float(places.plain(variant, entry.get('factor', 1.0)))
+        found.append(
+            Number('frictions', name, 'factor', settings.spread_of_frictions, words, '', value)
+        )
+    for name, entry in (variant.machine.get('dampers') or {}).items():
+        key = next((one for one in entry if one.startswith('damping_')), None)
+        if key is None:
+            continue
+        value = float(places.plain(variant, entry[key]))
+        if value > 0.0:
+            unit = 'N s/m' if key.endswith('n_s_m') else 'Nm s/rad'
+            words = f'viscous friction of {name.replace("_", " ")}'
+            found.append(
+                Number('dampers', name, key, settings.spread_of_frictions, words, unit, value)
+            )
+    return found
+
+
+def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]]:
+    """Return the dense effect of a machine, on its first axis with a motor, and its numbers."""
+    known = numbers(variant.base, settings)
+
+    def axes(variant: Variant) -> tuple[str, ...]:
+        return places.motor_axes(variant)[:1] if known else ()
+
+    def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
+        return tuple(
+            Parameter(item.path, '', 0.0, item.spread, -MOST, MOST, item.words, spread=item.spread)
+            for item in known
+        )
+
+    def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
+        machine: dict[str, dict[str, dict[str, Any]]] = {}
+        for item in known:
+            entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
+            entry[item.key] = _scaled(variant, item, 1.0 + values[item.path])
+        deviations = {item.path: values[item.path] / item.spread for item in known}
+        return Overlay(machine, deviations=deviations)
+
+    effect = Effect(
+        NAME, Block.PLANT, 'parameters a little different from the model', axes, parameters, overlay
+    )  # fmt: skip
+    return effect, known
+
+
+def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
+    """Return what stands at a number's place, times a ratio."""
+    if item.section == 'bodies' and item.key == 'inertia_kg_m2':
+        return places.tensor_entries(variant.description.bodies[item.name].inertia * ratio)
+    entry = variant.machine[item.section][item.name]
+    return ratio * float(places.plain(variant, entry.get(item.key, 1.0)))
+
+
+def is_nuisance(cause: Cause) -> bool:
+    """Return whether a cause is the dense effect."""
+    return cause.effect.name == NAME
+
+
+def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> list[Correction]:
+    """Return the corrected parameters of a hypothesis, those that are furthest off first."""
+    errors = standard_errors(found)
+    first, rows = 0, []
+    for cause in found.causes:
+        own = errors[first : first + cause.free]
+        first += cause.free
+        if not is_nuisance(cause):
+            continue
+        by_path = {item.path: item for item in known}
+        for parameter, error in zip(parameters_of(problem, cause), own, strict=False):
+            item, value = by_path[parameter.name], cause.values[parameter.name]
+            reach = NORMAL_95 * float(error)
+            rows.append(
+                (
+                    abs(value) / item.spread,
+                    Correction(
+                        item.words, item.path, item.unit, item.value,
+                        *(item.value * (1.0 + x) for x in (value, value - reach, value + reach)),
+                    ),
+                )
+            )  # fmt: skip
+    return [row for _, row in sorted(rows, key=lambda pair: -pair[0])]
