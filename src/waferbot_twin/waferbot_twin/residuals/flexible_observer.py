@@ -11,12 +11,13 @@ lasts, and the true model then seems wrong by it. So the linearised plant
 is held by its stationary Kalman filter. Readings have noise of one unit of intensity in every encoder;
 the disturbances of encoder i accelerate, half of their intensity each,
 
-    all parts of its axis alike,   by t_i,
-    what its motor pushes,         by M^-1 b_i (t_i' M t_i) / (t_i' b_i),                           (2)
+    all parts of its axis alike,     T e_i,
+    what the motors push for that,   M^-1 B (T' B)^-1 (T' M T) e_i,                                (2)
 
-with an intensity w_i^4. Where nothing gives, both are the same, and the filter has poles of the
-frequency w_i and the damping 1 / sqrt(2): the observer of a rigid axis (`plant_block`) is this
-filter's limit.
+with an intensity w_i^4, the columns of T being how the parts of an axis move together, those of B what
+its motor pushes. Where nothing gives, both are the same, each axis has a filter of its own, and its
+poles have the frequency w_i and the damping 1 / sqrt(2): the observer of a rigid axis (`plant_block`)
+is this filter's limit.
 
 Source: B. Anderson, J. Moore, Optimal Filtering, 1979, chapter 4. Assumption: small motion about the
 pose where a log begins; gravity, dry friction and play are left out.
@@ -76,20 +77,20 @@ def kalman_gains(
     inverse = np.linalg.inv(m)
     count = len(m)
     speed = float(np.max(frequency[used]))
+    patterns = np.linalg.lstsq(basis, together[used].T, rcond=None)[0]
+    pushed = np.column_stack([_pushed(p, basis, together[place]) for place in used])
+    driven = np.any(pushed != 0.0, axis=0)
+    acting = pushed[:, driven]
+    shares = np.linalg.solve(patterns[:, driven].T @ acting, patterns[:, driven].T @ m @ patterns)
+    by_motors = np.where(driven, inverse @ acting @ shares, patterns)
     noise = np.zeros((count, count))
     reads = np.zeros((len(used), 2 * count))
     for row, place in enumerate(used):
-        own = int(p['encoder_coordinate'][place])
-        per_unit = float(p['counts_per_unit'][place])
-        reads[row, :count] = basis[own] * per_unit * UNIT
-        pattern = np.linalg.lstsq(basis, together[place], rcond=None)[0]
-        intensity = (frequency[place] ** 2 / (per_unit * UNIT * speed)) ** 2
-        pushed = _pushed(p, basis, together[place])
-        moves = float(pattern @ pushed)
-        directions = [pattern, pattern]
-        if moves != 0.0:
-            directions[1] = inverse @ pushed * float(pattern @ m @ pattern) / moves
-        noise += sum(0.5 * intensity * np.outer(one, one) for one in directions)
+        per_unit = float(p['counts_per_unit'][place]) * UNIT
+        reads[row, :count] = basis[int(p['encoder_coordinate'][place])] * per_unit
+        intensity = (frequency[place] ** 2 / (per_unit * speed)) ** 2
+        for direction in (patterns[:, row], by_motors[:, row]):
+            noise += 0.5 * intensity * np.outer(direction, direction)
     zero, one = np.zeros((count, count)), np.eye(count)
     system = np.block([[zero, speed * one], [-inverse @ k / speed, -inverse @ d]])
     entering = np.block([[zero, zero], [zero, noise]])

@@ -28,9 +28,9 @@ with its counterweight, an axis with its motor. A model in which a connection gi
 Kalman filter of which that is the limit (`flexible_observer`): a ring that noise of the currents makes
 in the simulation alone is taken out of it again. Where a spring joins two coordinates that both have
 an encoder, a motor and its load, the second holds its own coordinate by what the first leaves of its
-error: corrected with the load alone, a motor in the gap of its gears bounces for ever, as each correction gives back to it what
-an impact took. With k the slope of the spring's force now, zero in the gap, and J what it carries,
-that correction is
+error: corrected with the load alone, a motor in the gap of its gears bounces for ever, as each
+correction gives back to it what an impact took. With k the slope of the spring's force now, zero in the
+gap, and J what it carries, that correction is
 
     1 / (1 + (k / (J (5 w)^2))^n),        n = 3, with play 2,
 
