@@ -37,7 +37,9 @@ from diagnosis_matrix.sizing import (
     NeverNeutral,
     OutOfReach,
     scale_of_size,
+    size,
     size_of_change,
+    sizes_of_each,
 )
 
 from waferbot_lockstep.errors import UserError
@@ -50,6 +52,7 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_recording
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.synthesis import noise, synthesize
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -288,6 +291,35 @@ def test_masses_that_are_off_pull_on_an_axis_that_is_out_of_balance(with_frictio
     assert abs(found['constant_force:x_rotate.force']) == pytest.approx(expected)
     assert found['constant_force:y_linear.force'] == pytest.approx(0.0, abs=1e-9)
     assert found['wrong_inertia:y_linear.mass'] == pytest.approx(0.05 * body.mass)
+
+
+def test_logs_of_a_machine_that_is_a_little_off_can_be_made_again():
+    case = Case('everything-off', (), 1, 77)
+    one, other = (trial._laid(case, 'rigid') for _ in range(2))
+    assert one.sizes == other.sizes
+    assert all(size > 0.0 for size in one.sizes)
+    for first, second in zip(one.finding, other.finding, strict=True):
+        np.testing.assert_array_equal(first.reading, second.reading)
+    # Diagnosed against a model that has the numbers, the frictions too, before they were off.
+    assert set(deviations.paths(one.nominal)) == {item.path for item in one.drawn.deviations}
+    apart = deviations.equivalents(one.nominal, one.machine)
+    assert apart['force_constant:y_linear.ratio'] != 1.0
+    assert one.hidden
+    assert set(one.size_of) == {cause.name for cause in one.hidden}
+
+
+def test_an_effect_that_another_one_hides_is_as_small_as_it_looks(rigid):
+    case = Case('nothing', (), 1, 5)
+    drawn = draw(case, rigid)
+    effect = find('coulomb_friction')
+    own = Cause(effect, 'x_rotate', effect.typical(rigid, 'x_rotate'))
+    gone = Cause(find('output_limit'), 'y_rotate', {'limit': 32767.0})
+    records = trial.logs(apply_all(rigid, [own, gone]), 'rigid', drawn.noise, drawn.finding)
+    problem = Problem(rigid, records)
+    alone = size(Problem(rigid, records), [own])
+    found = sizes_of_each(problem, [own, gone])
+    assert found[0] == pytest.approx(alone)
+    assert found[1] == 0.0
 
 
 # What differs between two models
