@@ -894,7 +894,7 @@ def test_the_table_counts_only_effects_that_the_logs_show_and_says_what_lacks():
     rows = rows_of(lines)
     named = rows['several', 'effects of size 3 and more named']
     assert (named.seen['hits'], named.seen['cases'], named.met) == (2, 3, False)
-    assert named.verdict == 'NOT MET so far, 97 cases to run'
+    assert named.verdict == 'NOT MET so far, 97 to run'
     true = rows['several', 'names that are true']
     assert (true.seen['hits'], true.seen['cases']) == (2, 3)
     assert true.shown.startswith('2 of 3, 66.7 % (')

@@ -108,7 +108,7 @@ class Row:
         if self.met is None:
             return '-'
         said = 'met' if self.met else 'NOT MET'
-        return f'{said} so far, {self.lacks} cases to run' if self.lacks else said
+        return f'{said} so far, {self.lacks} to run' if self.lacks else said
 
 
 def of_one_commit(lines: Sequence[Line]) -> tuple[str, list[Line], int]:
@@ -234,7 +234,7 @@ def table_of(lines: Sequence[Line], is_named: Callable[[Line], bool]) -> list[Ro
         rows.append(
             Row(
                 'calibration', f'names given with {low:g} to {high:g} that are true',
-                f'{100 * low:g} to {100 * high:g} %, within the interval', seen, met,
+                f'{100 * low:g} to {100 * high:g} %', seen, met,
             )
         )  # fmt: skip
     sure = share(names, lambda one: one['probability'] >= SURE and not one['true'])
@@ -351,7 +351,7 @@ def print_table(
     """Print the table, with what it is of and what was refused."""
     table = Table(title=f'What must be true: commit {commit}, seed {seed}', title_justify='left')
     for heading in ('group', 'what', 'must be', 'seen (95 %)', 'met'):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=heading != 'what')
     before = ''
     for one in rows:
         table.add_row(
