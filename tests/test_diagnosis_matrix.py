@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import math
 import sys
 from pathlib import Path
@@ -741,6 +742,99 @@ def test_what_is_known_beside_an_unknown_effect_stays_in_the_library():
     trial._without_twins(judged(['backlash']), ['backlash'], judged, [known])
     # Nothing is left to take out: it is not asked for ever.
     assert asked == [('backlash',), ('backlash', 'presliding')]
+
+
+# A case from beginning to end, with a diagnosis that is told what to say
+
+
+def said(laid, named, false=(), unexplained=()):
+    """A report that names some of what is hidden, with its true values, and corrects all that is off."""
+    truth = deviations.equivalents(laid.nominal, laid.machine)
+    causes = []
+    for one in [*named, *false]:
+        values = {
+            key: {'value': value, 'low95': value - 1e-9, 'high95': value + 1e-9}
+            for key, value in one.values.items()
+        }
+        causes.append({**cause(one.name), 'log_evidence': 9.0, 'parameters': values})
+    corrections = [
+        {'path': path, 'nominal': 2.0, 'found': value, 'low': value - 1e-9, 'high': value + 1e-9}
+        for path, value in (
+            (path, 2.0 * one if path.endswith('.ratio') else 2.0 + one)
+            for path, one in truth.items()
+        )
+    ]
+    gain = {'rms_before': 2.0, 'rms_after': 1.0, 'improvement_percent': 50.0}
+    return {
+        **report(*causes, unexplained=unexplained),
+        'corrections': corrections if laid.drawn.deviations else [],
+        'gain': {
+            'validation': [record.name for record in laid.judging],
+            'axes': dict.fromkeys(('y_linear', 'x_rotate', 'y_rotate'), gain),
+        },
+        'runtime_s': 1.0,
+    }
+
+
+def run_with(monkeypatch, case, say):
+    """The line of a case whose diagnosis is `say(laid, without)`."""
+    laid = trial._laid(case, 'rigid')
+    monkeypatch.setattr(trial, 'diagnose', lambda *given: say(laid, given[5]))
+    monkeypatch.setattr(trial, 'as_dict', lambda found: found)
+    return laid, trial.run(case, 'rigid', False)
+
+
+def test_a_case_with_everything_off_from_drawing_to_score(monkeypatch):
+    case = Case('everything-off', (), 1, 77)
+    effect = find('force_constant')
+    false = Cause(effect, 'x_rotate', effect.typical(trial.nominal('rigid'), 'x_rotate'))
+    laid, found = run_with(
+        monkeypatch, case, lambda laid, without: said(laid, laid.hidden[:1], [false])
+    )
+    assert found['outcome'] == 'some and a false one', found.get('reason')
+    assert [item['became'] for item in found['effects']] == ['named', 'missed']
+    assert [item['true'] for item in found['names']] == [True, False]
+    assert found['hidden'] == [one.name for one in laid.hidden]
+    assert found['deviations'].keys() == set(deviations.paths(laid.nominal))
+    assert len(found['corrections']) > 10
+    assert all(item['covered'] for item in found['corrections'])
+    assert {error['effect'] for error in found['errors']} == {laid.hidden[0].effect.name}
+    assert all(error['covered'] for error in found['errors'])
+    rows = rows_of([found])
+    as_cause = rows['everything-off', 'names that are a correction reported as a cause']
+    assert (as_cause.seen['hits'], as_cause.seen['cases']) == (1, 2)
+    json.dumps(found)
+
+
+def test_a_case_of_several_that_crashes_has_missed_what_was_hidden(monkeypatch):
+    def crashes(laid, without):
+        raise RuntimeError('a defect')
+
+    laid, found = run_with(monkeypatch, Case('several', (), 1, 77), crashes)
+    assert found['outcome'] == 'crashed'
+    assert 'a defect' in found['reason']
+    assert len(found['effects']) == len(laid.hidden) >= 3
+    assert {item['became'] for item in found['effects']} == {'missed'}
+    named = rows_of([found])['several', 'effects of size 3 and more named']
+    assert (named.seen['hits'], named.met) == (0, False)
+
+
+def test_a_case_with_an_unknown_effect_among_known_ones(monkeypatch, rigid):
+    case = next(cases(GROUPS['unknown-among-known'], pairs(rigid), 77))
+    asked = []
+
+    def say(laid, without):
+        asked.append(list(without))
+        unknown = laid.hidden[0]
+        return said(laid, laid.hidden[1:], unexplained=[unknown.axis])
+
+    laid, found = run_with(monkeypatch, case, say)
+    assert found['outcome'] == 'right', found.get('reason')
+    assert asked == [[laid.hidden[0].effect.name]]
+    assert [item['name'] for item in found['effects']] == [one.name for one in laid.hidden[1:]]
+    assert all(item['true'] for item in found['names'])
+    assert found['without_twins']['outcome'] == 'right'
+    assert not requirements.has_false_name(found)
 
 
 # Counting
