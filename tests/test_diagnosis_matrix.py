@@ -43,6 +43,7 @@ from diagnosis_matrix.sizing import (
     sizes_of_each,
 )
 
+import waferbot
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
@@ -687,6 +688,29 @@ def test_the_demonstration_is_scored_by_what_differs():
         row for key, row in rows_of([line('demo', 'crashed', 0.0)]).items() if key[0] == group
     )
     assert crashed.met is False
+
+
+def test_the_demonstration_is_that_of_the_command_without_ros(monkeypatch):
+    asked = []
+    found = {
+        **report(cause('cable_compliance:y_linear'), unexplained=['x_rotate']),
+        'gain': {'axes': {'y_linear': {'improvement_percent': 70.0}}},
+        'corrections': [],
+    }
+    found['causes'][0]['parameters'] = {}
+
+    def diagnose(model, logs, validation, progress):
+        asked.append((model.name, [log.name for log in logs], [log.name for log in validation]))
+        return SimpleNamespace(details=found)
+
+    monkeypatch.setattr(waferbot, 'diagnose', diagnose)
+    monkeypatch.setattr(demonstration, 'as_dict', lambda found: found)
+    done = trial.run(Case('demo', (), 0, 77), 'rigid', False)
+    assert done['outcome'] == 'all names true', done.get('reason')
+    assert asked == [('rigid', ['moves', 'random_steps'], ['steps'])]
+    assert 'encoder_delay:x_rotate' in done['differs']
+    assert done['found']['cables']
+    json.dumps(done)
 
 
 def test_what_a_twin_explains_is_diagnosed_again_without_it():

@@ -48,6 +48,9 @@ LEAST_GAINS = {'y_linear': 66.0, 'x_rotate': 90.0, 'y_rotate': 93.0}
 
 LONGEST_DEMO_S = 60.0
 
+NO_LINES, NO_COMMIT = 'none', 'not known'
+"""What stands for a commit where there are no results, or where git knew none."""
+
 OTHER_CASES = 60
 """Machines of another simulator, at least."""
 
@@ -114,10 +117,10 @@ class Row:
 def of_one_commit(lines: Sequence[Line]) -> tuple[str, list[Line], int]:
     """Return the commit of the last line, the lines of that commit, and how many others there are."""
     if not lines:
-        return 'not known', [], 0
+        return NO_LINES, [], 0
     commit = lines[-1].get('commit') or ''
     own = [line for line in lines if (line.get('commit') or '') == commit]
-    return commit or 'not known', own, len(lines) - len(own)
+    return commit or NO_COMMIT, own, len(lines) - len(own)
 
 
 def is_false_alarm(line: Line) -> bool:
@@ -300,7 +303,7 @@ def _of_demo(lines: Sequence[Line]) -> list[Row]:
     """Return the rows of the demonstration; one crash and nothing of it is met."""
     group = 'as built against rigid'
     if not lines:
-        return [Row(group, 'the demonstration', 'see below', None, None)]
+        return [Row(group, 'the demonstration', 'to be run', None, None)]
     line = lines[-1]
     if line['outcome'] == CRASHED:
         return [Row(group, 'the demonstration', 'to end', None, False, 'crashed')]
@@ -361,7 +364,7 @@ def print_table(
     console.print(table)
     if refused:
         console.print(f'refused: {refused} lines of other commits; a table is of one commit only')
-    if commit == 'not known' or '-dirty' in commit:
+    if commit == NO_COMMIT or '-dirty' in commit:
         console.print('these sources are no commit: nobody can make this table again')
     if seed < FINAL_SEED:
         console.print(
