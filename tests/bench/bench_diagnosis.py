@@ -3,11 +3,12 @@
 The diagnosis in blind tests: is the hidden cause named, how small may it be, what is named wrongly?
 
 Effects of the whole library, on every axis, at given sizes, in logs with motions and noise that are
-drawn; nothing hidden; two effects at once; effects that the diagnosis does not know; machines of another
-simulator, in files as a user has them. Every case is
-one line of bench-results/diagnosis.jsonl, written as soon as it is done: what is there is not done
-again, so the bench can be stopped and goes on where it was. At the end tables of all lines of this seed,
-the same as diagnosis.json and a picture, diagnosis.png. A line says with which commit it was found.
+drawn; nothing hidden; two and up to eight effects at once; machines of which everything is a little off;
+effects that the diagnosis does not know; machines of another simulator, in files as a user has them; the
+logs of `waferbot demo`. Every case is one line of bench-results/diagnosis.jsonl, written as soon as it
+is done: what a commit has done there it does not do again, so the bench can be stopped and goes on where
+it was. At the end tables of all lines of this seed by the last commit, the same as diagnosis.json and a
+picture, diagnosis.png. Seeds from 5000 are for a final table: they are run once, by one commit.
 
 The full matrix takes many hours on two cores. For a part of it:
 
@@ -17,6 +18,7 @@ The full matrix takes many hours on two cores. For a part of it:
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import itertools
 import json
 import math
@@ -24,6 +26,7 @@ import os
 import subprocess
 import sys
 import time
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,8 +35,16 @@ from typing import Any
 import waferbot_lockstep.compiled  # noqa: F401  isort: skip
 
 import joblib
-from diagnosis_matrix import other_simulator, picture, summary, trial
+from diagnosis_matrix import (
+    demonstration,
+    other_simulator,
+    picture,
+    requirements,
+    summary,
+    trial,
+)
 from diagnosis_matrix.cases import GROUPS, Case, cases, pairs
+from diagnosis_matrix.differences import same_names
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cluster import cluster
@@ -91,6 +102,7 @@ def _bench(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / 'diagnosis.jsonl'
     lines = read_lines(results)
+    commit = _commit()
     done = {_key(line) for line in lines}
     wanted = list(_interleaved(groups, effects, options))
     left = [
@@ -100,12 +112,14 @@ def _bench(options: argparse.Namespace) -> None:
             case.key,
             trial.model_of(case, options.model),
             trial.through(case, options.subprocess),
+            commit,
         )
         not in done
     ]
+    if left and options.minutes != 0:
+        _refuse_second_run(lines, options.seed, commit, results)
     print(f'{len(wanted)} cases, {len(left)} to do; results: {results}')
     with cluster(options.cluster, PACKAGE) as cores, results.open('a', encoding='utf-8') as file:
-        commit = _commit()
         for number, line in enumerate(_run_all(left, cores, options), 1):
             line['commit'] = commit
             file.write(json.dumps(line) + '\n')
@@ -120,10 +134,22 @@ def _bench(options: argparse.Namespace) -> None:
     of_seed = [
         line
         for line in lines
-        if line['seed'] == options.seed and line['model'] in (options.model, other_simulator.MODEL)
+        if line['seed'] == options.seed
+        and line['model'] in (options.model, other_simulator.MODEL, demonstration.MODEL)
     ]
-    found = summary.summarise(of_seed)
+    commit, own, refused = requirements.of_one_commit(of_seed)
+    found = summary.summarise(own)
+    rows = requirements.table_of(own, summary.is_named)
     summary.print_tables(found)
+    same = same_names(trial.nominal(options.model))
+    console = summary.plain_console()
+    requirements.print_table(console, rows, commit, refused, options.seed, same)
+    found['requirements'] = {
+        'commit': commit,
+        'seed': options.seed,
+        'refused': refused,
+        'rows': [dataclasses.asdict(row) for row in rows],
+    }
     (options.out / 'diagnosis.json').write_text(json.dumps(found, indent=2) + '\n', 'utf-8')
     picture.draw(found, options.out / 'diagnosis.png')
     print(
@@ -131,22 +157,36 @@ def _bench(options: argparse.Namespace) -> None:
     )
 
 
+def _refuse_second_run(lines: list[dict[str, Any]], seed: int, commit: str, path: Path) -> None:
+    """Raise `UserError` if a final seed has been run by other sources: it is run once."""
+    others = {line.get('commit') or 'not known' for line in lines if line['seed'] == seed}
+    others.discard(commit)
+    if seed >= requirements.FINAL_SEED and others:
+        raise UserError(
+            f'{path} has cases of seed {seed} by {", ".join(sorted(others))}: a final seed is run once, '
+            'by one commit. Take another seed, or --minutes 0 for the table'
+        )
+
+
 def _commit() -> str:
     """
     Return the commit that changed the sources last; nothing if git knows none.
 
-    With `-dirty` if they differ from it. Sources are what results depend on: neither tests nor what
-    counts the results, nor results that are committed.
+    With `-dirty-` and a checksum of the changes if they differ from it. Sources are what results depend
+    on: neither tests nor what counts the results, nor results that are committed.
     """
-    counts = (f'tests/bench/diagnosis_matrix/{name}.py' for name in ('summary', 'picture'))
+    counts = (
+        f'tests/bench/diagnosis_matrix/{name}.py'
+        for name in ('requirements', 'summary', 'picture')
+    )
     others = (f':(top,exclude,glob){path}' for path in ('src/*/test/**', *counts))
     sources = ('--', ':/src', ':/tests/bench/diagnosis_matrix', *others)
     try:
         last = _git('log', '-1', '--format=%h', *sources)
-        changed = _git('status', '--porcelain', '--untracked-files=no', *sources)
+        changed = _git('diff', 'HEAD', *sources)
     except (OSError, subprocess.SubprocessError):
         return ''
-    return f'{last}-dirty' if changed else last
+    return f'{last}-dirty-{zlib.crc32(changed.encode()):08x}' if changed else last
 
 
 def _git(*arguments: str) -> str:
@@ -171,8 +211,8 @@ def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(',') if name.strip()]
 
 
-def _key(line: dict[str, Any]) -> tuple[str, str, str]:
-    return line['key'], line['model'], line['through']
+def _key(line: dict[str, Any]) -> tuple[str, str, str, str]:
+    return line['key'], line['model'], line['through'], line.get('commit', '')
 
 
 def _interleaved(

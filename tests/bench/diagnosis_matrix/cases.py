@@ -16,14 +16,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnosis_matrix.deviations import BESIDE_THEM, CORRECTED, Deviation, draw_deviations
 from diagnosis_matrix.motions import draw_experiment
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.effect import Parameter, Values
 from waferbot_twin.effects.variant import Variant
 
 SINGLE, NOTHING, TWO, UNKNOWN = 'single', 'nothing', 'two', 'unknown'
+AMONG_KNOWN = 'unknown among known'
+"""The first of three effects is out of the library, the others are of typical size."""
+
+SEVERAL, OFF = 'several', 'off'
+"""Effects of typical size at once; the same on a machine of which every number is a little off."""
+
 OTHER = 'other'
 """Machines of another simulator, which draws them itself: `diagnosis_matrix.other_simulator`."""
+
+DEMO = 'demo'
+"""The logs that come with the package: `diagnosis_matrix.demonstration`."""
+
+COUNTS = {SEVERAL: (3, 8), OFF: (1, 3)}
+"""The fewest and the most effects that are hidden at once."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +62,12 @@ GROUPS = {
         Group('typical', SINGLE, None, 152),
         Group('nothing', NOTHING, 0.0, 304),
         Group('two', TWO, 5.0, 152),
-        Group('unknown', UNKNOWN, 10.0, 152),
+        Group('several', SEVERAL, None, 100),
+        Group('everything-off', OFF, None, 60),
+        Group('unknown', UNKNOWN, 10.0, 76),
+        Group('unknown-among-known', AMONG_KNOWN, 10.0, 76),
         Group('other-simulator', OTHER, None, 200),
+        Group('demo', DEMO, None, 1),
     )
 }
 
@@ -59,7 +76,12 @@ NOISE_LEVELS = (0.3, 3.0)
 
 @dataclass(frozen=True)
 class Case:
-    """What is hidden (`effect:axis`, none, one or two), and the number of the case among its like."""
+    """
+    What is hidden (`effect:axis`, up to three), and the number of the case among its like.
+
+    What is hidden in a case of several effects is drawn later (`draw`): not every machine runs with all
+    of them.
+    """
 
     group: str
     hidden: tuple[str, ...]
@@ -86,14 +108,17 @@ class Drawn:
     """
     A case in full but for the sizes.
 
-    Experiments and seeds of the logs for finding and for judging; level of the noise; for each hidden
-    effect the direction in which its parameters go, and its shape.
+    Experiments and seeds of the logs for finding and for judging; level of the noise; what is hidden
+    (`effect:axis`), and for each of it the direction in which its parameters go, and its shape; what is
+    a little off.
     """
 
     finding: tuple[tuple[str, int], ...]
     judging: tuple[tuple[str, int], ...]
     noise: float
+    hidden: tuple[str, ...]
     directions: tuple[Direction, ...]
+    deviations: tuple[Deviation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -143,7 +168,7 @@ def pairs(variant: Variant, effects: Sequence[str] = ()) -> list[str]:
 def cases(group: Group, names: Sequence[str], seed: int) -> Iterator[Case]:
     """Return the cases of a group, without end: all effects once in an order drawn, then again."""
     for number in itertools.count():
-        if group.kind in (NOTHING, OTHER):
+        if group.kind in (NOTHING, OTHER, DEMO, *COUNTS):
             yield Case(group.name, (), number, seed)
             continue
         random = np.random.default_rng([seed, zlib.crc32(group.kind.encode()), number])
@@ -151,12 +176,24 @@ def cases(group: Group, names: Sequence[str], seed: int) -> Iterator[Case]:
             first, second = random.choice(len(names), 2, replace=len(names) < 2)
             yield Case(group.name, (names[first], names[second]), number, seed)
             continue
+        if group.kind == AMONG_KNOWN:
+            # What is taken out of the library must not take out what is known.
+            order = [names[place] for place in random.permutation(len(names))]
+            different = {name.split(':')[0]: name for name in reversed(order)}
+            three = sorted(different.values(), key=order.index)[:3]
+            yield Case(group.name, tuple(three), number, seed)
+            continue
         for place in random.permutation(len(names)):
             yield Case(group.name, (names[place],), number, seed)
 
 
-def draw(case: Case, variant: Variant) -> Drawn:
-    """Return everything that is drawn for a case: two motions, now and then three."""
+def draw(case: Case, variant: Variant, attempt: int = 0) -> Drawn:
+    """
+    Return everything that is drawn for a case: two motions, now and then three.
+
+    Each attempt has the same motions and noise. Of several effects at once it has others, so that one
+    can be had with which the machine runs.
+    """
     random = case.random
     logs = [
         (draw_experiment(variant, random), int(random.integers(2**31)))
@@ -164,8 +201,44 @@ def draw(case: Case, variant: Variant) -> Drawn:
     ]
     low, high = np.log(NOISE_LEVELS)
     noise = float(np.exp(random.uniform(low, high)))
-    directions = tuple(draw_direction(name, variant, random) for name in case.hidden)
-    return Drawn(tuple(logs[:-1]), tuple(logs[-1:]), noise, directions)
+    kind = GROUPS[case.group].kind
+    hidden, deviations = case.hidden, ()
+    if kind == OFF:
+        deviations = draw_deviations(variant, random)
+    if kind in COUNTS:
+        random = np.random.default_rng([int(random.integers(2**31)), attempt])
+        left_out = (*CORRECTED, *BESIDE_THEM) if kind == OFF else ()
+        hidden = draw_several(variant, *COUNTS[kind], left_out, random)
+    directions = tuple(draw_direction(name, variant, random) for name in hidden)
+    return Drawn(tuple(logs[:-1]), tuple(logs[-1:]), noise, hidden, directions, deviations)
+
+
+def draw_several(
+    variant: Variant,
+    fewest: int,
+    most: int,
+    left_out: Sequence[str],
+    random: np.random.Generator,
+) -> tuple[str, ...]:
+    """
+    Return some different effects at once: each on an axis drawn first, in a block drawn next.
+
+    So that all axes and blocks come alike often, however many effects the library has for them.
+    """
+    cells: dict[str, dict[str, list[str]]] = {}
+    for name in pairs(variant):
+        effect, axis = name.split(':')
+        if effect not in left_out:
+            cells.setdefault(axis, {}).setdefault(find(effect).block.value, []).append(name)
+    count = int(random.integers(fewest, most + 1))
+    found: list[str] = []
+    while len(found) < count:
+        blocks = cells[sorted(cells)[int(random.integers(len(cells)))]]
+        names = blocks[sorted(blocks)[int(random.integers(len(blocks)))]]
+        name = names[int(random.integers(len(names)))]
+        if name not in found:
+            found.append(name)
+    return tuple(found)
 
 
 def draw_direction(name: str, variant: Variant, random: np.random.Generator) -> Direction:

@@ -18,7 +18,7 @@ from diagnosis_matrix.summary import LARGEST_ERROR, NAMED
 
 RIGHT, NEAR, WRONG, SILENT = '#1f7a4d', '#8bc34a', '#b3261e', '#9e9e9e'
 COLOURS = {
-    'group': NEAR, 'twin': NEAR, 'later': NEAR, 'one': NEAR,
+    'group': NEAR, 'twin': NEAR, 'later': NEAR, 'one': NEAR, 'some': NEAR,
     'missed': SILENT, 'none': SILENT, 'unexplained': '#c46a1b', 'withdrawn': '#e0a030',
 }  # fmt: skip
 SHOWN = 18
@@ -48,7 +48,7 @@ def _detection(panel: Any, found: dict[str, Any]) -> None:
         high = np.array([100.0 * row[key]['high95'] for row in rows])
         spread = np.maximum(0.0, np.array([middle - low, high - middle]).reshape(2, -1))
         panel.errorbar(size, middle, spread, color=colour, marker='o', capsize=3, label=label)
-    for size, aim in ((3.0, 90.0), (10.0, 97.0)):
+    for size, aim in ((3.0, 91.0), (10.0, 98.0)):
         panel.plot(size, aim, marker='_', ms=22, mew=2, color='black')
     panel.plot([], [], marker='_', ms=12, mew=2, color='black', ls='', label='aim')
     panel.set_xscale('log')

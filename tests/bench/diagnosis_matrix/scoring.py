@@ -3,12 +3,14 @@
 What a diagnosis got right: its report against the truth.
 
 A report is `report.json` as a reader of the file has it. `inseparable` tells whether the logs cannot
-tell the reported causes from the true ones, as found by simulating both; only then does a cause
-that is in a reported credible set, of at most three, count as named.
+tell the reported causes from the true ones, as found by simulating both; only then does a single
+effect that is in a reported credible set, of at most three, count as named. Of several effects at once
+each counts as named in such a set (`effects_and_names`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +25,14 @@ TWIN = 'twin'
 SURE = 0.9
 """Probability above which a report calls a cause very likely."""
 
+NAMED, IN_SET, MISSED = 'named', 'in the set', 'missed'
+"""What becomes of a hidden effect."""
+
+SHOWN = 3.0
+"""Size from which on one of several effects at once is to be named."""
+
 Report = Mapping[str, Any]
+Score = dict[str, Any]
 
 
 def name_of(cause: Mapping[str, Any]) -> str:
@@ -93,9 +102,11 @@ def outcome_of_two(report: Report, truths: Sequence[str], inseparable: bool) -> 
     return ('both' if all(hits) else 'one') + (' and a false one' if false else '')
 
 
-def outcome_of_unknown(report: Report, truth: str, inseparable: bool) -> str:
+def outcome_of_unknown(
+    report: Report, truth: str, inseparable: bool, known: Sequence[str] = ()
+) -> str:
     """
-    Return what became of an effect that is not in the library.
+    Return what became of an effect that is not in the library, alone or among known ones.
 
     `right` (something is left unexplained on its axis), `other axis`, `twin` (explained by another
     effect that the logs cannot tell from it), `wrong`, `missed`.
@@ -104,9 +115,92 @@ def outcome_of_unknown(report: Report, truth: str, inseparable: bool) -> str:
     unexplained = [item['axis'] for item in report['unexplained']]
     if axis in unexplained:
         return 'right'
-    if report['causes']:
+    if any(name_of(cause) not in known for cause in report['causes']):
         return TWIN if inseparable else 'wrong'
     return 'other axis' if unexplained else 'missed'
+
+
+def outcome_of_several(effects: Sequence[Score], names: Sequence[Score]) -> str:
+    """Return `all`, `some` or `none`, of effects that the logs show, with ` and a false one`."""
+    hits = [item['became'] != MISSED for item in effects if item['size'] >= SHOWN]
+    outcome = 'none' if hits and not any(hits) else 'all' if all(hits) else 'some'
+    return outcome + (' and a false one' if any(is_false(item) for item in names) else '')
+
+
+def effects_and_names(
+    causes: Sequence[Mapping[str, Any]],
+    hidden: Mapping[str, float],
+    same: Mapping[str, str],
+    related: bool = False,
+) -> dict[str, list[Score]]:
+    """
+    Return what became of each hidden effect, and whether each name that was reported is true.
+
+    `hidden` has the size of each effect in the logs, by `effect:axis`. An effect is `named` if a cause
+    has its name, `in the set` if the credible set of one, of at most three, holds it, else `missed`. A
+    name is `true` if it is that of a hidden effect, `in_set` if it or one of its set is. `same` has the
+    names that stand for others which do exactly the same in the model. With `related` the logs do not
+    tell what was reported from what was hidden: such names are neither true nor false.
+    """
+
+    def own(name: str) -> str:
+        return same.get(name, name)
+
+    wanted = {own(name) for name in hidden}
+    reported = []
+    for cause in causes:
+        members = {own(name) for name in (name_of(cause), *others_of(cause))}
+        reported.append((cause, own(name_of(cause)), members))
+    firsts = {name for _, name, _ in reported}
+    in_sets = {
+        one for _, _, members in reported if len(members) <= LARGEST_GROUP for one in members
+    }
+    effects, names = [], []
+    for name, size in hidden.items():
+        became = NAMED if own(name) in firsts else IN_SET if own(name) in in_sets else MISSED
+        effects.append({'name': name, 'size': size, 'became': became})
+    for cause, name, members in reported:
+        in_set = name in wanted or (len(members) <= LARGEST_GROUP and bool(members & wanted))
+        names.append(
+            {
+                'name': name_of(cause),
+                'probability': cause['probability'],
+                'true': name in wanted,
+                'in_set': in_set,
+                'related': related and not in_set,
+            }
+        )
+    return {'effects': effects, 'names': names}
+
+
+def is_false(name: Score) -> bool:
+    """Return whether a reported name is wrong, and its credible set too."""
+    return not name['in_set'] and not name['related']
+
+
+def corrections(report: Report, truth: Mapping[str, float]) -> list[Score]:
+    """
+    Return the corrections of a report against the factors of the true machine, by `section.name`.
+
+    `covered` tells whether the 95 % interval holds the true value; None where nothing is known of
+    that number, or the report has no interval.
+    """
+    found = []
+    for item in report.get('corrections', ()):
+        place = '.'.join(item['path'].split('.')[:2])
+        real, covered = None, None
+        if place in truth:
+            real = item['nominal'] * truth[place]
+            covered = is_within(real, item['low'], item['high'])
+        found.append({**item, 'truth': real, 'covered': covered})
+    return found
+
+
+def is_within(value: float, low: float | None, high: float | None) -> bool | None:
+    """Return whether an interval holds a value; None if it has no ends."""
+    if low is None or high is None or math.isnan(low) or math.isnan(high):
+        return None
+    return bool(low <= value <= high)
 
 
 def wrong_and_sure(report: Report, outcome: str) -> bool:
@@ -148,11 +242,8 @@ def parameter_errors(
     found = []
     for item in parameters:
         value = cause['parameters'][item.name]
-        low, high = value['low95'], value['high95']
         real = truth[item.name]
-        covered = None
-        if low is not None and high is not None and low == low and high == high:
-            covered = bool(low <= real <= high)
+        covered = is_within(real, value['low95'], value['high95'])
         kind, scale = _scale(cause['effect'], item, real, inertia)
         if scale == 0.0:
             continue

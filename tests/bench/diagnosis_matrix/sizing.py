@@ -20,9 +20,10 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.noise_model.prediction_error import prediction_errors
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 CLOSE = 1.15
@@ -53,10 +54,30 @@ def size_of_change(changes: Iterable[Array], samples: int) -> float:
 
 def size(problem: Problem, causes: Sequence[Cause]) -> float:
     """Return the size of causes that are in the logs of `problem`; raises `UserError`."""
+    return _size_without(problem, evaluate(problem, tuple(causes)), problem.nominal)
+
+
+def sizes_of_each(problem: Problem, causes: Sequence[Cause]) -> list[float]:
+    """
+    Return the size of each of several causes that are in the logs of `problem` at once.
+
+    That of the change which taking out this one alone makes, the others in place: an effect that
+    another one hides is as small as it looks. Raises `UserError`.
+    """
     true = evaluate(problem, tuple(causes))
+    return [
+        _size_without(
+            problem, true, apply_all(problem.nominal, [*causes[:own], *causes[own + 1 :]])
+        )
+        for own in range(len(causes))
+    ]
+
+
+def _size_without(problem: Problem, true: Hypothesis, less: Variant) -> float:
+    """Return the size of what a model lacks of the true one; raises `UserError`."""
     changes: list[Array] = []
     for block, after in true.residuals.items():
-        before = problem.residuals(problem.nominal, block)
+        before = problem.residuals(less, block)
         changes += prediction_errors(
             true.fits[block], [one - other for one, other in zip(before, after, strict=True)]
         )

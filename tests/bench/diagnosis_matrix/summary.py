@@ -1,19 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rates, errors and confusions of many cases, with their intervals, and what was aimed at."""
+"""Rates, errors, times and confusions of many cases, with their intervals."""
 
 from __future__ import annotations
 
 import itertools
 import statistics
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
-from scipy.stats import binomtest
 
-from diagnosis_matrix.cases import GROUPS, NOTHING, OTHER, SINGLE, TWO, UNKNOWN
+from diagnosis_matrix.cases import (
+    AMONG_KNOWN,
+    DEMO,
+    GROUPS,
+    NOTHING,
+    OFF,
+    OTHER,
+    SEVERAL,
+    SINGLE,
+    TWO,
+    UNKNOWN,
+)
+from diagnosis_matrix.requirements import rate, share
 from diagnosis_matrix.trial import CRASHED, LEFT_OUT
 
 Line = dict[str, Any]
@@ -23,35 +35,18 @@ NAMED = {
     NOTHING: ('right',),
     TWO: ('both', 'both and a false one'),
     UNKNOWN: ('right',),
+    AMONG_KNOWN: ('right',),
+    SEVERAL: ('all',),
+    OFF: ('all',),
     OTHER: ('right', 'all'),
+    DEMO: ('all names true',),
 }
 """Outcomes that count as right, by kind."""
 
 SIZES = (0.7, 1.5, 2.2, 4.5, 8.0, 15.0, 50.0, float('inf'))
 """Edges of the detection curve."""
 
-LEAST_NOTHING = 300
 LARGEST_ERROR = {'other': 0.05, 'shape': 0.05, 'gain': 0.01, 'inertia': 0.01, 'delay': 0.1}
-SLOWEST_S = 120.0
-
-
-def rate(hits: int, cases: int) -> dict[str, Any]:
-    """Return a share with its 95 % interval (Wilson's score interval); None without cases."""
-    if cases == 0:
-        return {'hits': 0, 'cases': 0, 'share': None, 'low95': None, 'high95': None}
-    interval = binomtest(hits, cases).proportion_ci(0.95, 'wilson')
-    return {
-        'hits': hits,
-        'cases': cases,
-        'share': hits / cases,
-        'low95': float(interval.low),
-        'high95': float(interval.high),
-    }
-
-
-def share(lines: Sequence[Line], is_hit: Callable[[Line], bool]) -> dict[str, Any]:
-    """Return the rate of lines that are hits."""
-    return rate(sum(is_hit(line) for line in lines), len(lines))
 
 
 def is_named(line: Line) -> bool:
@@ -106,7 +101,10 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
         ),
         'gain_share': _gain_shares(of['single-10']),
         'other_simulator': other_simulator(of['other-simulator']),
-        'runtime_s': _runtimes([line['runtime_s'] for line in judged if 'runtime_s' in line]),
+        'times_s': {
+            name: times([line['runtime_s'] for line in own if 'runtime_s' in line])
+            for name, own in of.items()
+        },
         'commits': dict(Counter(line.get('commit') or 'not known' for line in lines)),
     }
 
@@ -248,43 +246,11 @@ def _gain_shares(lines: Iterable[Line]) -> dict[str, Any]:
     return {**_median(values), 'enough': rate(sum(value >= 0.8 for value in values), len(values))}
 
 
-def _runtimes(values: Sequence[float]) -> dict[str, Any]:
-    return {**_median(values), 'longest': max(values) if values else None}
-
-
-def aims(found: dict[str, Any]) -> list[tuple[str, float | None, str, float, int]]:
-    """Return what was aimed at: (what, found, at most or at least, limit, cases)."""
-    groups = found['groups']
-
-    def of(name: str, item: dict[str, Any], sense: str, limit: float) -> tuple[Any, ...]:
-        return name, item['share'], sense, limit, item['cases']
-
-    rows = [
-        of('named at 10 x', groups['single-10']['right'], 'at least', 0.97),
-        of('named at 3 x', groups['single-3']['right'], 'at least', 0.90),
-        of('and logs for judging show it', found['shown_to_judges']['single-3'], 'at least', 0.90),
-        of('wrong with high confidence', found['wrong_and_sure'], 'at most', 0.02),
-        of('false alarms', found['false_alarms'], 'at most', 0.02),
-        of('both of two named', groups['two']['right'], 'at least', 0.80),
-        of('one false cause in place of two', found['false_in_place_of_two'], 'at most', 0.0),
-        of('unknown effect unexplained', groups['unknown']['right'], 'at least', 0.90),
-        of('and its twins unknown, too', found['unknown_without_twins'], 'at least', 0.90),
-        of('coverage of 95 % intervals', found['coverage'], 'at least', 0.90),
-        of('coverage of 95 % intervals', found['coverage'], 'at most', 0.98),
-        of('gain of 80 % of the true one', found['gain_share']['enough'], 'at least', 0.90),
-    ]
-    rows += [
-        (f'median error, {kind}', item['median'], 'at most', LARGEST_ERROR[kind], item['cases'])
-        for kind, item in found['errors'].items()
-    ]
-    return rows
-
-
-def is_reached(value: float | None, sense: str, limit: float) -> bool | None:
-    """Return whether an aim is reached, None if nothing is known."""
-    if value is None:
-        return None
-    return value <= limit if sense == 'at most' else value >= limit
+def times(values: Sequence[float]) -> dict[str, Any]:
+    """Return the median, the 90 % quantile and the largest of times, s; None without any."""
+    found = _median(values)
+    most = float(np.quantile(values, 0.9)) if values else None
+    return {**found, 'most': most, 'longest': max(values) if values else None}
 
 
 def _text(item: dict[str, Any]) -> str:
@@ -297,9 +263,14 @@ def _number(value: float | None) -> str:
     return '-' if value is None else f'{value:.3g}'
 
 
+def plain_console() -> Console:
+    """Return a console for tables."""
+    return Console(markup=False, highlight=False, width=130)
+
+
 def print_tables(found: dict[str, Any]) -> None:
-    """Print groups, detection curve, confusions, errors and aims."""
-    console = Console(markup=False, highlight=False, width=130)
+    """Print groups, detection curve, confusions, errors and times."""
+    console = plain_console()
     table = _table('Cases by group', 'group', 'judged', 'left out', 'right [%] (95 %)', 'outcomes')
     for name, group in found['groups'].items():
         outcomes = ', '.join(f'{count} {outcome}' for outcome, count in group['outcomes'].items())
@@ -343,17 +314,13 @@ def print_tables(found: dict[str, Any]) -> None:
     if found['parameters']:
         console.print(table)
     _print_other_simulator(console, found['other_simulator'])
-    table = _table('Aims', 'what', 'found', 'cases', 'aim', '')
-    for what, value, sense, limit, count in aims(found):
-        reached = is_reached(value, sense, limit)
-        verdict = '' if reached is None else 'reached' if reached else 'MISSED'
-        table.add_row(what, _number(value), str(count), f'{sense} {limit:g}', verdict)
-    console.print(table)
-    runtime = found['runtime_s']
-    console.print(
-        f'one diagnosis on one core: median {_number(runtime["median"])} s, longest '
-        f'{_number(runtime["longest"])} s'
-    )
+    table = _table('Time of a diagnosis [s]', 'group', 'cases', 'median', '90 %', 'longest')
+    for name, time in found['times_s'].items():
+        if time['cases']:
+            values = (_number(time[key]) for key in ('median', 'most', 'longest'))
+            table.add_row(name, str(time['cases']), *values)
+    if table.row_count:
+        console.print(table)
     commits = ', '.join(f'{name} ({count})' for name, count in found['commits'].items())
     console.print(f'found with commits: {commits}')
     if found['left_out']:

@@ -20,15 +20,33 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import joblib
 import numpy as np
 
-from diagnosis_matrix import other_simulator, scoring
-from diagnosis_matrix.cases import GROUPS, NOTHING, OTHER, SINGLE, TWO, UNKNOWN, Case, Drawn, draw
-from diagnosis_matrix.sizing import CLOSE, OutOfReach, scale_of_size, size
+from diagnosis_matrix import demonstration, other_simulator, scoring
+from diagnosis_matrix.cases import (
+    AMONG_KNOWN,
+    COUNTS,
+    DEMO,
+    GROUPS,
+    NOTHING,
+    OFF,
+    OTHER,
+    SEVERAL,
+    SINGLE,
+    TWO,
+    UNKNOWN,
+    Case,
+    Drawn,
+    draw,
+)
+from diagnosis_matrix.deviations import off, with_friction
+from diagnosis_matrix.differences import same_names
+from diagnosis_matrix.sizing import CLOSE, OutOfReach, scale_of_size, size, sizes_of_each
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
@@ -61,6 +79,11 @@ LARGE = 5.0
 
 LEAST_IMPROVEMENT = 0.02
 """Share of the RMS error that the true model must win for the gain to be compared with."""
+
+UNKNOWNS = (UNKNOWN, AMONG_KNOWN)
+
+MOST_ATTEMPTS = 20
+"""How often several effects at once are drawn anew if the machine does not run with them."""
 
 FLAGS = slice(12, 15)
 """Columns of the controller's flags in `Signals.servo_state`."""
@@ -104,12 +127,12 @@ def logs(
 
 def model_of(case: Case, model: str) -> str:
     """Return the model that a case is diagnosed with, as its line of results has it."""
-    return other_simulator.MODEL if _kind(case) == OTHER else model
+    return {OTHER: other_simulator.MODEL, DEMO: demonstration.MODEL}.get(_kind(case), model)
 
 
 def through(case: Case, through_files: bool) -> str:
     """Return how a case gets its logs, as its line of results has it."""
-    return 'files' if through_files or _kind(case) == OTHER else 'memory'
+    return 'files' if through_files or _kind(case) in (OTHER, DEMO) else 'memory'
 
 
 def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
@@ -125,12 +148,15 @@ def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
         'through': through(case, through_files),
     }
     try:
+        if _kind(case) == DEMO:
+            line |= demonstration.run()
+            return line | {'case_s': time.perf_counter() - begun_s}
         # One case is one process: what is parallel inside would only get in the way.
         with joblib.parallel_config(backend='sequential'):
             if _kind(case) == OTHER:
                 line |= other_simulator.run(case.seed, case.number)
             else:
-                line |= _run(case, model, through_files)
+                _run(case, model, through_files, line)
     except OutOfReach as error:
         line |= {'outcome': LEFT_OUT, 'reason': str(error)}
     except Exception:  # a defect must not end the bench; it counts as a case that failed
@@ -138,44 +164,115 @@ def run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
     return line | {'case_s': time.perf_counter() - begun_s}
 
 
-def _run(case: Case, model: str, through_files: bool) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Laid:
+    """
+    What is laid into a case's logs, and these.
+
+    Logs of `machine` with `hidden` in it are diagnosed against `nominal`; the two models are the same
+    but where everything is a little off (`drawn.deviations`).
+    """
+
+    drawn: Drawn
+    nominal: Variant
+    machine: Variant
+    hidden: tuple[Cause, ...]
+    sizes: tuple[float, ...]
+    finding: list[Record]
+    judging: list[Record]
+
+    @property
+    def true(self) -> Variant:
+        """The model that the logs are of, but for the noise."""
+        return apply_all(self.machine, self.hidden)
+
+    @property
+    def size_of(self) -> dict[str, float]:
+        """The size of each hidden effect in the logs for finding, by `effect:axis`."""
+        return {cause.name: one for cause, one in zip(self.hidden, self.sizes, strict=True)}
+
+
+def _laid(case: Case, model: str) -> Laid:
+    """Return what a case's logs are of, and the logs; raises `OutOfReach`."""
+    if _kind(case) in COUNTS:
+        return _several_laid(case, model)
     drawn = draw(case, nominal(model))
     hidden, sizes = _sized(case, drawn, model)
-    variant = apply_all(nominal(model), hidden)
     try:
-        finding = logs(variant, model, drawn.noise, drawn.finding)
-        judging = logs(variant, model, drawn.noise, drawn.judging, len(finding))
+        finding, judging = _both_logs(apply_all(nominal(model), hidden), model, drawn)
     except UserError as error:
         raise OutOfReach(str(error)) from error
-    line: dict[str, Any] = {
-        'noise': drawn.noise,
-        'logs': len(finding) + len(judging),
+    own = nominal(model)
+    return Laid(drawn, own, own, tuple(hidden), tuple(sizes), finding, judging)
+
+
+def _several_laid(case: Case, model: str) -> Laid:
+    """Return the first drawing of several effects with which the machine runs; raises `OutOfReach`."""
+    own = nominal(model)
+    if _kind(case) == OFF:
+        own = with_friction(own)
+    for attempt in range(MOST_ATTEMPTS):
+        drawn = draw(case, own, attempt)
+        hidden = []
+        for name, direction in zip(drawn.hidden, drawn.directions, strict=True):
+            effect_name, axis = name.split(':')
+            values = direction.values(min(1.0, direction.largest_scale))
+            hidden.append(Cause(find(effect_name), axis, values))
+        try:
+            machine = off(own, drawn.deviations) if drawn.deviations else own
+            logs_of_both = _both_logs(apply_all(machine, hidden), model, drawn)
+            sizes = sizes_of_each(Problem(machine, logs_of_both[0]), hidden)
+        except UserError:
+            continue
+        return Laid(drawn, own, machine, tuple(hidden), tuple(sizes), *logs_of_both)
+    raise OutOfReach(f'the machine does not run with any of {MOST_ATTEMPTS} drawings')
+
+
+def _both_logs(variant: Variant, model: str, drawn: Drawn) -> tuple[list[Record], list[Record]]:
+    """Return the logs for finding and for judging; raises `UserError`."""
+    finding = logs(variant, model, drawn.noise, drawn.finding)
+    return finding, logs(variant, model, drawn.noise, drawn.judging, len(finding))
+
+
+def _run(case: Case, model: str, through_files: bool, line: dict[str, Any]) -> None:
+    """Put all that is found of a case into its line; what is known before stays if it crashes."""
+    laid = _laid(case, model)
+    hidden = laid.hidden
+    unknown = [cause.effect.name for cause in hidden[:1]] if _kind(case) in UNKNOWNS else []
+    line |= {
+        'hidden': [cause.name for cause in hidden],
+        'noise': laid.drawn.noise,
+        'logs': len(laid.finding) + len(laid.judging),
         'values': [cause.values for cause in hidden],
-        'sizes': sizes,
+        'sizes': list(laid.sizes),
+        'deviations': {item.path: item.factor for item in laid.drawn.deviations},
+        **scoring.effects_and_names([], _to_be_named(case, laid), {}),
     }
     if hidden:
-        line['judging_size'] = size(Problem(nominal(model), judging), hidden)
+        line['judging_size'] = size(Problem(laid.machine, laid.judging), hidden)
         line['gain_of_truth'] = [
-            _gain_of_truth(hidden, model, records) for records in (finding, judging)
+            _gain_of_truth(laid, records) for records in (laid.finding, laid.judging)
         ]
+    known = line['hidden'][1:] if unknown else []
 
     def judged(without: Sequence[str]) -> dict[str, Any]:
         if through_files:
-            found = _through_files(case, drawn, hidden, model, without)
+            found = _through_files(laid, model, without)
         else:
-            diagnosis = diagnose(nominal(model), finding, judging, _silent, 1, without)
-            found = json.loads(as_json(as_dict(diagnosis))), finding, judging
-        return _compared(case, hidden, model, *found)
+            diagnosis = diagnose(laid.nominal, laid.finding, laid.judging, _silent, 1, without)
+            found = json.loads(as_json(as_dict(diagnosis))), laid.finding, laid.judging
+        return _compared(case, laid, *found)
 
-    if _kind(case) != UNKNOWN:
-        return line | judged(())
-    own = [cause.effect.name for cause in hidden]
-    line |= judged(own)
-    return line | {'without_twins': _without_twins(line, own, judged)}
+    line |= judged(unknown)
+    if unknown:
+        line['without_twins'] = _without_twins(line, unknown, judged, known)
 
 
 def _without_twins(
-    line: dict[str, Any], own: Sequence[str], judged: Callable[[Sequence[str]], dict[str, Any]]
+    line: dict[str, Any],
+    own: Sequence[str],
+    judged: Callable[[Sequence[str]], dict[str, Any]],
+    known: Sequence[str] = (),
 ) -> dict[str, Any]:
     """
     Return what becomes of an unknown effect if what does the same is unknown, too.
@@ -183,30 +280,34 @@ def _without_twins(
     An effect is out of the library only with all that the logs cannot tell from it: where it never
     turns back, a friction that differs with the direction is Coulomb's. So as long as simulation shows
     a twin, what was reported, with its group, is taken out as well (`taken_out`) and the same logs are
-    diagnosed again.
+    diagnosed again. What is hidden beside it and known stays in the library.
     """
-    taken_out = list(own)
+    taken_out, kept = list(own), {name.split(':')[0] for name in known}
     while line['outcome'] == scoring.TWIN:
+        before = len(taken_out)
         for cause in line['reported']:
             for name in (cause['name'], *cause['group']):
                 effect = name.split(':')[0]
-                if effect not in taken_out:
+                if effect not in taken_out and effect not in kept:
                     taken_out.append(effect)
+        if len(taken_out) == before:
+            break
         line = judged(taken_out)
     return {
         'taken_out': taken_out[len(own) :],
         **{key: line[key] for key in ('outcome', 'reported', 'unexplained')},
+        'names': line.get('names', []),
     }
 
 
-def _gain_of_truth(hidden: Sequence[Cause], model: str, records: Sequence[Record]) -> float:
+def _gain_of_truth(laid: Laid, records: Sequence[Record]) -> float:
     """
     Return 2 ln L of the true model over the nominal one, each with the noise that it leaves.
 
     Less than size^2 ln N where the nominal model takes a part of the effect for coloured noise.
     """
-    problem = Problem(nominal(model), records)
-    true, without = evaluate(problem, tuple(hidden)), evaluate(problem)
+    true = evaluate(Problem(laid.machine, records), laid.hidden)
+    without = evaluate(Problem(laid.nominal, records))
     return float(2.0 * (true.log_likelihood - without.log_likelihood))
 
 
@@ -220,9 +321,11 @@ def _kind(case: Case) -> str:
 
 def _sized(case: Case, drawn: Drawn, model: str) -> tuple[list[Cause], list[float]]:
     """Return the hidden causes and their sizes in the logs for finding; raises `OutOfReach`."""
-    wanted = GROUPS[case.group].size
     hidden, sizes = [], []
-    for name, direction in zip(case.hidden, drawn.directions, strict=True):
+    for place, (name, direction) in enumerate(zip(case.hidden, drawn.directions, strict=True)):
+        # Those that are known beside an unknown one are of typical size.
+        typical = _kind(case) == AMONG_KNOWN and place > 0
+        wanted = None if typical else GROUPS[case.group].size
         effect_name, axis = name.split(':')
         effect = find(effect_name)
 
@@ -264,14 +367,19 @@ def _possible(name: str, size_at: Callable[[float], float], scale: float) -> flo
 
 
 def _through_files(
-    case: Case, drawn: Drawn, hidden: Sequence[Cause], model: str, without: Sequence[str]
+    laid: Laid, model: str, without: Sequence[str]
 ) -> tuple[dict[str, Any], list[Record], list[Record]]:
     """Write logs, run the command on them; return its report and the logs as read back."""
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
+        folder, drawn = Path(temporary), laid.drawn
+        made_of, against = model, model
+        if laid.machine is not laid.nominal:
+            made_of, against = folder / 'machine.yaml', folder / 'nominal.yaml'
+            made_of.write_text(laid.machine.text, 'utf-8')
+            against.write_text(laid.nominal.text, 'utf-8')
         effects = [
             f'{cause.name},' + ','.join(f'{key}={value!r}' for key, value in cause.values.items())
-            for cause in hidden
+            for cause in laid.hidden
         ]
         paths = []
         for place, (experiment, seed) in enumerate((*drawn.finding, *drawn.judging)):
@@ -279,21 +387,21 @@ def _through_files(
             motion.write_text(experiment, 'utf-8')
             paths.append(folder / f'log_{place}')
             _waferbot(
-                'synthesize', '--model', model, '--experiment', motion, '--seed', seed,
+                'synthesize', '--model', made_of, '--experiment', motion, '--seed', seed,
                 '--noise', repr(drawn.noise), '--out', paths[-1],
                 *(word for effect in effects for word in ('--effect', effect)),
             )  # fmt: skip
         finding, judging = paths[: len(drawn.finding)], paths[len(drawn.finding) :]
         _waferbot(
-            'diagnose', *finding, '--validate', *judging, '--model', model, '--workers', 1,
+            'diagnose', *finding, '--validate', *judging, '--model', against, '--workers', 1,
             '--out', folder / 'report',
             *(word for name in without for word in ('--without', name)),
         )  # fmt: skip
         report = json.loads((folder / 'report' / 'report.json').read_text('utf-8'))
         return (
             report,
-            load_records(finding, nominal(model)),
-            load_records(judging, nominal(model)),
+            load_records(finding, laid.nominal),
+            load_records(judging, laid.nominal),
         )
 
 
@@ -306,47 +414,75 @@ def _waferbot(*arguments: Any) -> None:
 
 def _compared(
     case: Case,
-    hidden: Sequence[Cause],
-    model: str,
+    laid: Laid,
     report: dict[str, Any],
     finding: Sequence[Record],
     judging: Sequence[Record],
 ) -> dict[str, Any]:
     """Return the outcome of a case, and the numbers that go with it."""
-    inseparable = _inseparable(hidden, report, model, finding, judging)
+    kind = _kind(case)
+    hidden = [cause.name for cause in laid.hidden]
+    # Of several at once each is told apart by its own name or set.
+    inseparable = kind not in COUNTS and _inseparable(laid, report, finding, judging)
+    scored = scoring.effects_and_names(
+        report['causes'],
+        _to_be_named(case, laid),
+        same_names(laid.nominal),
+        kind in UNKNOWNS and inseparable,
+    )
     outcome = {
         NOTHING: lambda: scoring.outcome_of_nothing(report),
-        SINGLE: lambda: scoring.outcome_of_single(report, case.hidden[0], inseparable),
-        TWO: lambda: scoring.outcome_of_two(report, case.hidden, inseparable),
-        UNKNOWN: lambda: scoring.outcome_of_unknown(report, case.hidden[0], inseparable),
-    }[_kind(case)]()
+        SINGLE: lambda: scoring.outcome_of_single(report, hidden[0], inseparable),
+        TWO: lambda: scoring.outcome_of_two(report, hidden, inseparable),
+        SEVERAL: lambda: scoring.outcome_of_several(scored['effects'], scored['names']),
+        OFF: lambda: scoring.outcome_of_several(scored['effects'], scored['names']),
+        UNKNOWN: lambda: scoring.outcome_of_unknown(report, hidden[0], inseparable),
+        AMONG_KNOWN: lambda: scoring.outcome_of_unknown(
+            report, hidden[0], inseparable, hidden[1:]
+        ),
+    }[kind]()
+    truth = {item.path: item.factor for item in laid.drawn.deviations}
     return {
         'outcome': outcome,
         'verdict': report['verdict'],
-        'reported': [
-            {
-                'name': scoring.name_of(cause),
-                'probability': cause['probability'],
-                'log_evidence': cause['log_evidence'],
-                'group': scoring.others_of(cause),
-                'values': {key: item['value'] for key, item in cause['parameters'].items()},
-            }
-            for cause in report['causes']
-        ],
+        'reported': reported(report),
         'withdrawn': report['withdrawn'],
         'unexplained': report['unexplained'],
+        'corrections': scoring.corrections(report, truth),
         'inseparable': inseparable,
         'wrong_and_sure': scoring.wrong_and_sure(report, outcome),
-        'errors': _errors(hidden, report, model),
-        'gain_share': _gain_share(hidden, report, model, _judged_by(report, finding, judging)),
+        'errors': _errors(laid, report),
+        'gain_share': _gain_share(laid, report, _judged_by(report, finding, judging)),
         'runtime_s': report['runtime_s'],
+        **scored,
     }
 
 
+def _to_be_named(case: Case, laid: Laid) -> dict[str, float]:
+    """Return the sizes of the hidden effects that are in the library, by `effect:axis`."""
+    sizes = laid.size_of
+    if _kind(case) in UNKNOWNS:
+        del sizes[laid.hidden[0].name]
+    return sizes
+
+
+def reported(report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what a line of results keeps of the causes of a report."""
+    return [
+        {
+            'name': scoring.name_of(cause),
+            'probability': cause['probability'],
+            'log_evidence': cause['log_evidence'],
+            'group': scoring.others_of(cause),
+            'values': {key: item['value'] for key, item in cause['parameters'].items()},
+        }
+        for cause in report['causes']
+    ]
+
+
 def _inseparable(
-    hidden: Sequence[Cause],
+    laid: Laid,
     report: dict[str, Any],
-    model: str,
     finding: Sequence[Record],
     judging: Sequence[Record],
 ) -> bool:
@@ -355,11 +491,11 @@ def _inseparable(
 
     The true causes have values fitted to the same logs as those reported have.
     """
-    if not hidden or not report['causes']:
+    if not laid.hidden or not report['causes']:
         return False
     fitted = judging if _judged_by(report, finding, judging) is finding else finding
-    true_ones = fit_causes(Problem(nominal(model), fitted), tuple(hidden)).causes
-    reported = tuple(
+    true_ones = fit_causes(Problem(laid.nominal, fitted), laid.hidden).causes
+    found_ones = tuple(
         Cause(
             find(cause['effect']),
             cause['axis'],
@@ -368,25 +504,25 @@ def _inseparable(
         for cause in report['causes']
     )
     for records in (finding, judging):
-        problem = Problem(nominal(model), records)
-        true, found = evaluate(problem, true_ones), evaluate(problem, reported)
+        problem = Problem(laid.nominal, records)
+        true, found = evaluate(problem, true_ones), evaluate(problem, found_ones)
         if 2.0 * (true.log_likelihood - found.log_likelihood) >= TELLS_APART:
             return False
     return True
 
 
-def _errors(hidden: Sequence[Cause], report: dict[str, Any], model: str) -> list[dict[str, Any]]:
+def _errors(laid: Laid, report: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the errors of all parameters of causes that were named right."""
-    reported = {scoring.name_of(cause): cause for cause in report['causes']}
+    by_name = {scoring.name_of(cause): cause for cause in report['causes']}
     return [
         {'effect': cause.effect.name, **dataclasses.asdict(error)}
-        for cause in hidden
-        if cause.name in reported
+        for cause in laid.hidden
+        if cause.name in by_name
         for error in scoring.parameter_errors(
-            reported[cause.name],
+            by_name[cause.name],
             cause.values,
-            cause.effect.parameters(nominal(model), cause.axis),
-            moving_inertia(nominal(model), cause.axis),
+            cause.effect.parameters(laid.nominal, cause.axis),
+            moving_inertia(laid.nominal, cause.axis),
         )
     ]
 
@@ -399,18 +535,16 @@ def _judged_by(
     return judging if names == {record.name for record in judging} else finding
 
 
-def _gain_share(
-    hidden: Sequence[Cause], report: dict[str, Any], model: str, judging: Sequence[Record]
-) -> float | None:
+def _gain_share(laid: Laid, report: dict[str, Any], judging: Sequence[Record]) -> float | None:
     """
     Return what the extended model gains in the logs for judging over what the true one would.
 
     On the axis where the true one gains most, in the logs that judged; None where it gains next to
     nothing.
     """
-    if not hidden:
+    if not laid.hidden:
         return None
-    true = gains(nominal(model), apply_all(nominal(model), hidden), list(judging))
+    true = gains(laid.nominal, laid.true, list(judging))
     best = max(true, key=lambda item: 1.0 - item.rms_after / item.rms_before)
     possible = best.rms_before - best.rms_after
     if possible < LEAST_IMPROVEMENT * best.rms_before:

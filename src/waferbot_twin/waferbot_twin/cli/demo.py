@@ -33,6 +33,10 @@ from waferbot_twin.response import axis_responses
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis
+    from waferbot_twin.diagnosis.proposals.screening import Progress
+
+MODEL, MACHINE = 'rigid', 'as_built'
+"""The model that the logs are diagnosed against, and that of the machine that they are of."""
 
 FINDING, JUDGING = ('moves', 'random_steps'), ('steps',)
 """Logs in `config/demo`: those that causes are found in, and the thesis' steps that judge."""
@@ -106,20 +110,27 @@ def logs() -> Path:
 
 def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:
     """Diagnose the logs that come with the package against the rigid model."""
-    import waferbot
     from waferbot_twin.diagnosis.report import write
 
     say('Logs of the machine as built, against the rigid model: what does it get wrong?')
     output = OutputFolder(folder, force=True)
     with progress_bar('diagnosis') as bar:
-        result = waferbot.diagnose(
-            waferbot.load_model('rigid'),
-            waferbot.load_logs(logs() / name for name in FINDING),
-            waferbot.load_logs(logs() / name for name in JUDGING),
-            progress=lambda what, done, total: bar(done, total),
-        )
-    kept = keep(output, lambda place: write(result.details, place))
-    return result.details, kept
+        found = diagnosis_of_logs(lambda what, done, total: bar(done, total))
+    kept = keep(output, lambda place: write(found, place))
+    return found, kept
+
+
+def diagnosis_of_logs(progress: Progress) -> Diagnosis:
+    """Return the diagnosis of the logs that come with the package, against the rigid model."""
+    import waferbot
+
+    result = waferbot.diagnose(
+        waferbot.load_model(MODEL),
+        waferbot.load_logs(logs() / name for name in FINDING),
+        waferbot.load_logs(logs() / name for name in JUDGING),
+        progress=progress,
+    )
+    return result.details
 
 
 def _print_diagnosis(diagnosis: Diagnosis, folder: Path | None) -> None:
