@@ -25,17 +25,16 @@ pose where a log begins; gravity, dry friction and play are left out.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, expm, solve_discrete_are
+from scipy.linalg import LinAlgError, eigh, expm, solve_discrete_are
 
 from waferbot_plant import motors, statics
 from waferbot_plant.modes import damping_matrix
 from waferbot_plant.plant import Machine, mass_matrix
 from waferbot_twin.residuals.record import Array
-
-UNIT = 1e-6
-"""A micrometre or microradian: positions in it, and speeds over w, make numbers of a like size."""
 
 
 def kalman_gains(
@@ -55,61 +54,108 @@ def kalman_gains(
     coordinate goes with an encoder's if nothing gives, zeros for one that holds no axis; `behind`
     (encoders, 2) which encoder another one of its axis is behind, in the second column, or -1: such
     axes are moved as if nothing gave. Coordinates of `standing` (coordinates,) do not move. `frequency`
-    are w_i, rad/s, `interval_s` the times between readings. None where nothing gives, encoders
-    have different intervals, or no stationary filter exists.
+    are w_i, rad/s, `interval_s` the times between readings. None where encoders have different
+    intervals, or no stationary filter exists.
     """
     p = parameters[0]
     used = [
         place for place in range(len(together)) if together[place].any() and behind[place, 1] < 0
     ]
-    paired = set(behind[:, 1].tolist())
     intervals = {float(interval_s[place]) for place in used}
-    basis = _freedoms(together, paired, standing, used)
-    if len(intervals) != 1 or basis.shape[1] <= len(used):
+    if len(intervals) != 1:
         return None
-    size = together.shape[1]
-    mass = np.zeros((size, size))
-    mass_matrix(state, parameters, mass)
-    m, d, k = (
-        basis.T @ matrix @ basis
-        for matrix in (mass, damping_matrix(machine), statics.elastic_stiffness(machine))
-    )
-    inverse = np.linalg.inv(m)
-    count = len(m)
-    speed = float(np.max(frequency[used]))
-    patterns = np.linalg.lstsq(basis, together[used].T, rcond=None)[0]
-    pushed = np.column_stack([_pushed(p, basis, together[place]) for place in used])
+    (step_s,) = intervals
+    basis = _freedoms(together, set(behind[:, 1].tolist()), standing, used)
+    if basis.shape[1] == len(used):
+        found = [_of_rigid(float(frequency[place]), step_s) for place in used]
+        positions, speeds = np.zeros_like(together), np.zeros_like(together)
+        for place, (position, speed) in zip(used, found, strict=True):
+            positions[place], speeds[place] = position * together[place], speed * together[place]
+        return positions, speeds
+    shapes, stiffness, damping, mass = _modes(machine, state, parameters, basis, step_s)
+    patterns = shapes.T @ mass @ together[used].T
+    pushed = np.column_stack([_pushed(p, together[place]) for place in used])
     driven = np.any(pushed != 0.0, axis=0)
-    acting = pushed[:, driven]
-    shares = np.linalg.solve(patterns[:, driven].T @ acting, patterns[:, driven].T @ m @ patterns)
-    by_motors = np.where(driven, inverse @ acting @ shares, patterns)
-    noise = np.zeros((count, count))
-    reads = np.zeros((len(used), 2 * count))
+    acting = shapes.T @ pushed[:, driven]
+    rigid_mass = together[used] @ mass @ together[used].T
+    shares = np.linalg.solve((together[used] @ pushed[:, driven])[driven], rigid_mass[driven])
+    by_motors = np.where(driven, acting @ shares, patterns)
+    reads = np.zeros((len(used), len(stiffness)))
+    noise = np.zeros((len(stiffness), len(stiffness)))
     for row, place in enumerate(used):
-        per_unit = float(p['counts_per_unit'][place]) * UNIT
-        reads[row, :count] = basis[int(p['encoder_coordinate'][place])] * per_unit
-        intensity = (frequency[place] ** 2 / (per_unit * speed)) ** 2
+        per_unit = float(p['counts_per_unit'][place])
+        reads[row] = shapes[int(p['encoder_coordinate'][place])] * per_unit
+        intensity = (frequency[place] ** 2 / per_unit) ** 2
         for direction in (patterns[:, row], by_motors[:, row]):
             noise += 0.5 * intensity * np.outer(direction, direction)
+    gains = _stationary(stiffness, damping, noise, reads, float(np.max(frequency[used])), step_s)
+    if gains is None:
+        return None
+    positions, speeds = np.zeros_like(together), np.zeros_like(together)
+    for row, place in enumerate(used):
+        per_unit = float(p['counts_per_unit'][place])
+        positions[place] = shapes @ gains[0][row] * per_unit
+        speeds[place] = shapes @ gains[1][row] * per_unit
+    return positions, speeds
+
+
+@functools.lru_cache(maxsize=64)
+def _of_rigid(frequency: float, step_s: float) -> tuple[float, float]:
+    """Return the gains of an axis that does not give."""
+    one = np.ones((1, 1))
+    found = _stationary(np.zeros(1), 0.0 * one, frequency**4 * one, one, frequency, step_s)
+    assert found is not None
+    return float(found[0][0, 0]), float(found[1][0, 0])
+
+
+def _modes(
+    machine: Machine,
+    state: NDArray[np.void],
+    parameters: NDArray[np.void],
+    basis: Array,
+    step_s: float,
+) -> tuple[Array, Array, Array, Array]:
+    """
+    Return shapes (coordinates, modes), their squared frequencies, damping, and the mass matrix.
+
+    Modes of unit mass, up to the Nyquist frequency of the readings: no reading tells of others.
+    """
+    size = len(basis)
+    mass = np.zeros((size, size))
+    mass_matrix(state, parameters, mass)
+    elastic = statics.elastic_stiffness(machine)
+    squares, vectors = eigh(basis.T @ elastic @ basis, basis.T @ mass @ basis)
+    shown = squares < (np.pi / step_s) ** 2
+    shapes = basis @ vectors[:, shown]
+    damping = shapes.T @ damping_matrix(machine) @ shapes
+    return shapes, np.maximum(squares[shown], 0.0), damping, mass
+
+
+def _stationary(
+    stiffness: Array, damping: Array, noise: Array, reads: Array, speed: float, step_s: float
+) -> tuple[Array, Array] | None:
+    """
+    Return the stationary gains (readings, modes) for positions and speeds.
+
+    Speeds are counted in units of `speed`, and positions in the unit of a reading, so that the numbers
+    are of a like size. None where there is no such filter.
+    """
+    count, readings = len(stiffness), len(reads)
+    unit = 1.0 / float(np.max(np.abs(reads)))
     zero, one = np.zeros((count, count)), np.eye(count)
-    system = np.block([[zero, speed * one], [-inverse @ k / speed, -inverse @ d]])
-    entering = np.block([[zero, zero], [zero, noise]])
-    (step_s,) = intervals
+    system = np.block([[zero, speed * one], [-np.diag(stiffness) / speed, -damping]])
+    entering = np.block([[zero, zero], [zero, noise / (unit * speed) ** 2]])
+    shown = np.hstack([unit * reads, np.zeros((readings, count))])
+    seen_noise = np.eye(readings) / step_s
     try:
         after, disturbed = _sampled(system, entering, step_s)
-        variance = solve_discrete_are(after.T, reads.T, disturbed, np.eye(len(used)) / step_s)
-        seen = reads @ variance @ reads.T + np.eye(len(used)) / step_s
-        gain = np.linalg.solve(seen, reads @ variance)
+        variance = solve_discrete_are(after.T, shown.T, disturbed, seen_noise)
+        gain = np.linalg.solve(shown @ variance @ shown.T + seen_noise, shown @ variance)
     except (LinAlgError, ValueError):
         return None
     if not np.isfinite(gain).all():
         return None
-    positions, speeds = np.zeros_like(together), np.zeros_like(together)
-    for row, place in enumerate(used):
-        per_error = float(p['counts_per_unit'][place]) * UNIT
-        positions[place] = basis @ gain[row, :count] * per_error
-        speeds[place] = basis @ gain[row, count:] * per_error * speed
-    return positions, speeds
+    return unit * gain[:, :count], unit * speed * gain[:, count:]
 
 
 def _freedoms(
@@ -125,14 +171,14 @@ def _freedoms(
     return np.column_stack([*columns, *np.eye(together.shape[1])[alone]])
 
 
-def _pushed(p: np.void, basis: Array, pattern: Array) -> Array:
-    """Return the generalised force of the motor of an axis, (freedoms,), zero without one."""
-    pushed = np.zeros(len(basis))
+def _pushed(p: np.void, pattern: Array) -> Array:
+    """Return the generalised force of the motor of an axis, (coordinates,), zero without one."""
+    pushed = np.zeros(len(pattern))
     for motor, ratio in enumerate(p['motor_ratio']):
         coordinate = int(p['motor_coordinate'][motor])
         if p['winding'][motor] != motors.NONE and pattern[coordinate] != 0.0:
             pushed[coordinate] += float(ratio)
-    return np.asarray(basis.T @ pushed)
+    return pushed
 
 
 def _sampled(system: Array, entering: Array, step_s: float) -> tuple[Array, Array]:

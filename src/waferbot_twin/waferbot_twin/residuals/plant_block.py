@@ -295,7 +295,7 @@ class PlantBlock:
         behind: NDArray[np.intp],
         standing: NDArray[np.bool_],
     ) -> tuple[Array, Array]:
-        """Return the gains of `flexible_observer`, without rows where nothing gives."""
+        """Return the gains of `flexible_observer`, without rows where there are none."""
         timing = self.record.timing
         found = kalman_gains(
             machine,
@@ -305,7 +305,7 @@ class PlantBlock:
             behind,
             standing,
             2.0 * math.pi * self._observer_hz,
-            self._usual_rows * timing.encoder_divider * timing.tick_s,
+            np.asarray(self._usual_rows * timing.encoder_divider * timing.tick_s, np.float64),
         )
         return found or (together[:0], together[:0])
 
@@ -437,7 +437,7 @@ def _drive(
     (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `together` (encoders, z) says how far
     it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
     the other end. `gain_position` and `gain_velocity` (encoders, z) are those of a plant that gives
-    (`flexible_observer`; 0, z where nothing does) for readings `usual_rows` (encoders,) apart.
+    (`flexible_observer`; 0, z if there are none) for readings `usual_rows` (encoders,) apart.
     Coordinates of `standing` (z,) do not move. Returns the coordinate for which the simulation blew
     up, or -1.
     """

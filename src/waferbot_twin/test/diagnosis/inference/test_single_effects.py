@@ -30,7 +30,7 @@ PRIOR = math.log(SETTINGS.expected_causes / 3)
 
 
 def effect_of(probabilities):
-    members = tuple(Member(SimpleNamespace(), 0.0, p) for p in sorted(probabilities)[::-1])
+    members = tuple(Member(SimpleNamespace(), 0.0, 0.0, p) for p in sorted(probabilities)[::-1])
     return SingleEffect(members, 1.0 - sum(probabilities))
 
 
@@ -111,13 +111,12 @@ def posterior(true):
     problem = Sum(true + random.normal(size=len(TIME_S)))
     base = evaluate(problem)
     members = [
-        Member(found, log_evidence(problem, found, base, SETTINGS.prior_scales))
+        Member(found, log_evidence(problem, found, base, SETTINGS.prior_scales), PRIOR)
         for found in (
             fit_causes(problem, (Cause(term, 'x_rotate', {'size': 0.0}),)) for term in TERMS
         )
     ]
-    args = PRIOR, SETTINGS.prior_scales, SETTINGS.endogeneity_level
-    effect = _posterior(problem, base, members, *args)
+    effect = _posterior(problem, base, members, SETTINGS.prior_scales)
     total = sum(member.probability for member in effect.members) + effect.none
     assert total == pytest.approx(1.0)
     assert list(effect.members) == sorted(effect.members, key=lambda one: -one.probability)
@@ -148,5 +147,4 @@ def test_of_noise_none_is_the_most_probable():
 
 
 def test_of_no_candidates_there_is_no_posterior():
-    args = PRIOR, SETTINGS.prior_scales, SETTINGS.endogeneity_level
-    assert _posterior(None, None, [], *args) is None
+    assert _posterior(None, None, [], SETTINGS.prior_scales) is None
