@@ -15,6 +15,7 @@ setup(
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config/models', glob('config/models/*.*')),
         ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
+        ('share/' + package_name + '/config/layouts', glob('config/layouts/*.*')),
         ('share/' + package_name + '/config/demo', glob('config/demo/*.yaml')),
         *(
             ('share/' + package_name + '/' + log, glob(log + '/*.*'))
