@@ -9,7 +9,10 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={'': ['*.json', '*.yaml', '*.html', 'py.typed']},
+    package_data={
+        '': ['*.json', '*.yaml', '*.html', 'py.typed'],
+        'waferbot_twin.view': ['page/*.*', 'page/vendor/*.*'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),

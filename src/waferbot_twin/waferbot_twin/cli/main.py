@@ -30,6 +30,7 @@ COMMANDS = {
     'replay': 'replay',
     'info': 'info',
     'plot': 'plot',
+    'view': 'view',
     'metrics': 'metrics',
     'compare': 'compare',
     'import': 'import_log',
