@@ -64,12 +64,13 @@ def execute(options: argparse.Namespace) -> int:
     values = calibrated()
     as_built = calibrated('as_built_payload', 'as_built_y_rotate')
     result: dict[str, Any] = {}
-    for name in options.stage or STAGES:
+    stages = options.stage or STAGES
+    for number, name in enumerate(stages, 1):
         stage = KNOWN[name]
         begun_s = time.perf_counter()
         departs = name.startswith('as_built')
         start = as_built if departs else values
-        with progress_bar(f'calibrating {name}') as progress:
+        with progress_bar(f'calibrating {name} ({number} of {len(stages)})') as progress:
             found = search(stage, start, generations, progress)
         if departs:
             as_built = found
