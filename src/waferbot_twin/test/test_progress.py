@@ -47,6 +47,17 @@ def test_what_was_before_the_first_report_does_not_count(capsys, clock):
     assert lines_of(capsys, clock, reports) == ['searching: about 97 s left']
 
 
+def test_waiting_for_nodes_does_not_count(capsys, clock):
+    waiting = [(1.0, 0, 1000)] * 30
+    assert lines_of(capsys, clock, [*waiting, (0.1, 1, 1000), (2.9, 100, 1000)]) == [
+        'searching: about 27 s left'
+    ]
+
+
+def test_too_little_to_tell_from(capsys, clock):
+    assert lines_of(capsys, clock, [(3.0, done, 1000) for done in range(10)]) == []
+
+
 def test_the_end_is_no_news(capsys, clock):
     assert lines_of(capsys, clock, [(5.0, 1, 2), (60.0, 2, 2)]) == []
 

@@ -39,6 +39,12 @@ from waferbot_twin.plain_values import significant
 QUICK_GENERATIONS = 3
 STAGES = ('payload', 'y_rotate', 'as_built_payload', 'as_built_y_rotate')
 
+EXAMPLES = (
+    'waferbot calibrate --evaluate --stage y_rotate',
+    'waferbot calibrate --quick --out calibration',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot calibrate`."""

@@ -26,6 +26,9 @@ from waferbot_twin.plain_values import finite
 QUIET_S = 2.0
 """Of nothing shorter than this is progress told."""
 
+LEAST_SHARE = 0.01
+"""Share that must be done before a remaining time is told."""
+
 error_console = Console(stderr=True, highlight=False, markup=False)
 
 
@@ -98,7 +101,8 @@ def _progress_line(what: str) -> Callable[[int, int], None]:
     """
     Return a function (done, total) that says once how long it will still take.
 
-    Counted from the first report on: before that, there may have been something to compile.
+    Counted from where `done` begins to rise: before that, something was compiled or started. One in
+    a hundred must be done, so that the estimate is worth something.
     """
     first: tuple[float, int] | None = None
     told = False
@@ -106,10 +110,10 @@ def _progress_line(what: str) -> Callable[[int, int], None]:
     def show(done: int, total: int) -> None:
         nonlocal first, told
         now_s = time.monotonic()
-        if first is None:
+        if first is None or done <= first[1]:
             first = (now_s, done)
         elapsed_s, more = now_s - first[0], done - first[1]
-        if told or elapsed_s < QUIET_S or more <= 0 or done >= total:
+        if told or elapsed_s < QUIET_S or more < LEAST_SHARE * total or done >= total:
             return
         told = True
         say(f'{what}: about {in_words(elapsed_s * (total - done) / more)} left')

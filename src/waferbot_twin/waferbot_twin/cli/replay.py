@@ -20,6 +20,12 @@ from waferbot_twin.models import NODES, Model, load_model, recorded_model
 from waferbot_twin.plan import Plan
 from waferbot_twin.recording.reader import Recording, read_recording
 
+EXAMPLES = (
+    'waferbot replay runs/step --node pmac',
+    'waferbot replay runs/step --node plant --model rigid --json',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot replay`."""

@@ -19,6 +19,12 @@ from waferbot_twin.recording.reader import read_recording
 
 LARGEST_PORT = 65535
 
+EXAMPLES = (
+    'waferbot view runs/step',
+    'waferbot view runs/step --no-browser',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot view`."""
