@@ -14,6 +14,7 @@ import sys
 import threading
 import urllib.error
 import urllib.request
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from xml.etree import ElementTree
@@ -24,6 +25,7 @@ from browser import Browser, chromium
 from harness import waferbot
 
 from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
 from waferbot_plant.drawing import moved_corners
 from waferbot_plant.plant import load_machine
 from waferbot_twin.engines import inprocess
@@ -235,6 +237,32 @@ def test_the_command_serves_until_it_is_interrupted(run):
         program.communicate()
     with pytest.raises(urllib.error.URLError):
         urllib.request.urlopen(url, timeout=5)
+
+
+def test_a_recording_without_its_model_is_refused(served):
+    _, recording = served
+    for attachments, said in (
+        ({}, 'does not hold the model'),
+        ({**recording.attachments, 'machine.yaml': 'bodies: {\n}\n'}, 'joints missing'),
+    ):
+        with pytest.raises(UserError, match=said):
+            ViewContent(replace(recording, attachments=attachments))
+
+
+def test_a_recording_without_encoders_is_refused(served):
+    _, recording = served
+    topics = {**recording.topics, 'encoders': recording['encoders'][:0]}
+    with pytest.raises(UserError, match='no encoder counts'):
+        ViewContent(replace(recording, topics=topics))
+
+
+def test_a_recording_of_which_the_servo_told_nothing_is_shown(served):
+    """A foreign controller need not report commanded positions."""
+    _, recording = served
+    topics = {**recording.topics, 'servo_state': recording['servo_state'][:0]}
+    content = ViewContent(replace(recording, topics=topics))
+    assert content.curves(0.0, 1.0)[0][0] == [[], []]
+    assert content.recording()['axes'][0]['moves'] is False
 
 
 # ---- the page -------------------------------------------------------------------------------

@@ -77,13 +77,17 @@ def execute(options: argparse.Namespace) -> int:
         'RMS recorded',
         'RMS difference',
         'largest',
-        'from tick',
+        'from [s]',
     ):
         table.add_column(
             heading, justify='left' if heading in ('topic', 'of', 'unit') else 'right'
         )
     for difference in differences:
-        first = '' if difference.first_tick is None else str(difference.first_tick)
+        first_s = (
+            ''
+            if difference.first_tick is None
+            else f'{recording.timing.seconds(difference.first_tick):.5f}'
+        )
         table.add_row(
             difference.topic,
             difference.place,
@@ -91,7 +95,7 @@ def execute(options: argparse.Namespace) -> int:
             f'{difference.rms_recorded:.6g}',
             f'{difference.rms:.6g}',
             f'{difference.largest:.6g}',
-            first,
+            first_s,
         )
     result_console.print(table)
     print('identical' if identical else 'not identical')

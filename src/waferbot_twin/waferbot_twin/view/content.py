@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_lockstep.contract import AXES, ENCODERS_TOPIC
+from waferbot_lockstep.errors import UserError
 from waferbot_plant.motors import force_constant
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
@@ -62,11 +64,21 @@ class ViewContent:
 
     def __init__(self, recording: Recording) -> None:
         """Read axes, plots and machine from the recording."""
+        if 'model.yaml' not in recording.attachments:
+            raise UserError(
+                f'{recording.path} does not hold the model that it was made with, so its machine and '
+                'units are not known; recordings of `waferbot run` do'
+            )
+        if len(recording[ENCODERS_TOPIC]) == 0:
+            raise UserError(f'{recording.path}: no encoder counts were recorded')
         responses = axis_responses(recording)
         model = recorded_model(recording)
         description = load_machine(
             model.parameters['plant'].get('description', 'rigid')
         ).description
+        lacking = [axis for axis in AXES if axis not in description.motors]
+        if lacking:
+            raise UserError(f'{recording.path}: its machine has no motor of {", ".join(lacking)}')
         run = recording.run
         self.duration_s = recording.timing.seconds(recording.ticks)
         self.name = recording.path.resolve().name
