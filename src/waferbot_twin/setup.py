@@ -9,12 +9,16 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={'': ['*.json', '*.yaml', '*.html', 'py.typed']},
+    package_data={
+        '': ['*.json', '*.yaml', '*.html', 'py.typed'],
+        'waferbot_twin.view': ['page/*.*', 'page/vendor/*.*'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
         ('share/' + package_name + '/config/models', glob('config/models/*.*')),
         ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
+        ('share/' + package_name + '/config/layouts', glob('config/layouts/*.*')),
         ('share/' + package_name + '/config/demo', glob('config/demo/*.yaml')),
         *(
             ('share/' + package_name + '/' + log, glob(log + '/*.*'))

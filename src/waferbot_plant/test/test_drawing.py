@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,19 @@ def test_pictures_are_the_same_each_time(tmp_path: Path) -> None:
     for name in (*machine.description.bodies, *machine.description.connections, 'y_rotate_motor'):
         if name not in ('gearbox', 'belt', 'cable'):  # those stand in their transmission's line
             assert name in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('count', [4, 20])
+def test_the_picture_of_the_modes_fits_a_screen(count: int, tmp_path: Path) -> None:
+    """The size of a PNG stands in its header; a laptop's screen is 1920 by 1080."""
+    machine = load_machine('flexible')
+    found = modes.coupled_modes(machine)
+    picture = tmp_path / 'modes.png'
+    drawing.draw_modes(machine, (found + found)[:count], picture)
+    width, height = struct.unpack('>II', picture.read_bytes()[16:24])
+    assert width <= 1920
+    assert height <= 1080
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,13 @@ _DRIVE_COLOUR = '#3c7d3c'
 _LARGEST_MOTION = 0.12
 """Largest motion in the picture of a mode, as a share of the machine's size."""
 
+_SCREEN_INCHES = (16.0, 8.6)
+"""Width of the picture of modes, and greatest height of all its rows; 100 pixels to the inch."""
+
+_ROW_INCHES = 2.2
+_MODES_OF_ONE_COLUMN = 4
+_MOST_MODES = 14
+
 _NAMED_ELEMENTS = 4
 _LEAST_SHARE = 0.01
 """Elements named beside a mode: the largest shares of its elastic energy, down to 1 %."""
@@ -78,20 +85,34 @@ def draw_modes(
     machine: Machine, modes: list[Mode], path: Path, positions: dict[str, float] | None = None
 ) -> None:
     """
-    Draw every mode in three views, and where it bends, into an image file.
+    Draw modes in three views, and where they bend, into an image file that fits a screen.
 
     Grey is the machine at rest at the pose `positions`, coloured the (linear) motion, enlarged so
-    that the largest is the same in all pictures.
+    that the largest is the same in all pictures. Modes stand one below the other, of many in two
+    columns; the lowest `_MOST_MODES` are drawn.
     """
+    drawn = modes[:_MOST_MODES]
     parameters = machine.parameters()
     state = machine.initial_state(parameters, positions)
     rest = moved_corners(machine, state, parameters)
     everything = np.concatenate(list(rest.values()))
     size = float(np.ptp(everything, axis=0).max())
-    figure, panels = _subplots(
-        len(modes), len(VIEWS) + 1, (13.0, 2.6 * len(modes) + 0.9), (1.0, 1.0, 1.0, 1.3)
-    )
-    for row, mode in enumerate(modes):
+    columns = 1 if len(drawn) <= _MODES_OF_ONE_COLUMN else 2
+    rows = -(-len(drawn) // columns)
+    high = min(_ROW_INCHES, _SCREEN_INCHES[1] / rows)
+    figure, grid = _subplots(
+        rows, columns * (len(VIEWS) + 1), (_SCREEN_INCHES[0], high * rows + 1.0),
+        (1.0, 1.0, 1.0, 1.5) * columns,
+    )  # fmt: skip
+    panels = [
+        grid[row][column * (len(VIEWS) + 1) :][: len(VIEWS) + 1]
+        for column in range(columns)
+        for row in range(rows)
+    ]
+    for empty in panels[len(drawn) :]:
+        for panel in empty:
+            panel.axis('off')
+    for row, mode in enumerate(drawn):
         motion = _motion(machine, state, parameters, rest, mode)
         largest = max(float(np.abs(motion[name]).max()) for name in motion)
         scale = _LARGEST_MOTION * size / largest if largest > 0.0 else 0.0
@@ -102,16 +123,20 @@ def draw_modes(
                 moved = points + scale * motion[name]
                 _draw_box(panel, moved, right, up, sign, _COLOURS[place % len(_COLOURS)], 1.0)
             _frame(panel, everything, right, up, sign, size)
-            if row == 0:
+            if row % rows == 0:
                 panel.set_title(f'{view} ({"xyz"[right]}, {"xyz"[up]})', fontsize=9)
         panels[row][0].set_ylabel(
-            f'{mode.frequency_hz:.1f} Hz\ndamping {100.0 * mode.damping_ratio:.2f} %',
+            f'{mode.frequency_hz:.1f} Hz\ndamping\n{100.0 * mode.damping_ratio:.2f} %',
             rotation=0, ha='right', va='center', fontsize=10,
         )  # fmt: skip
         _draw_shares(panels[row][-1], mode)
-    panels[0][-1].set_title('where it bends: share of elastic energy', fontsize=9)
+        if row % rows == 0:
+            panels[row][-1].set_title('share of elastic energy', fontsize=9)
     _legend(figure, list(rest))
-    figure.suptitle(f'{machine.description.name}: mode shapes', fontsize=12, y=1.0, va='top')
+    which = (
+        'mode shapes' if len(drawn) == len(modes) else f'lowest {len(drawn)} of {len(modes)} modes'
+    )
+    figure.suptitle(f'{machine.description.name}: {which}', fontsize=12, y=0.99, va='top')
     _save(figure, path)
 
 
@@ -138,7 +163,7 @@ def _draw_shares(panel: Axes, mode: Mode) -> None:
     rows = range(len(shares))
     panel.barh(rows, [100.0 * share for _, share in shares], height=0.35, color=_SPRING_COLOUR)
     for row, (name, share) in zip(rows, shares, strict=True):
-        panel.text(0.0, row - 0.27, f'{name}  {100.0 * share:.0f} %', fontsize=8, va='bottom')
+        panel.text(0.0, row - 0.25, f'{name}  {100.0 * share:.0f} %', fontsize=7.5, va='bottom')
     panel.set_ylim(_NAMED_ELEMENTS - 0.4, -0.9)
     panel.set_xlim(0.0, 100.0)
     panel.set_yticks([])

@@ -199,6 +199,18 @@ def test_search_is_repeatable_and_improves() -> None:
     assert search(stage, start, 0) == start
 
 
+def test_search_tells_every_candidate() -> None:
+    unknowns = (Unknown('x', -1.0, 1.0), Unknown('y', -1.0, 1.0))
+    told: list[tuple[int, int]] = []
+    search(
+        Stage('bowl', unknowns, bowl, 40, 20),
+        {'x': 0.9, 'y': -0.8},
+        3,
+        lambda done, total: told.append((done, total)),
+    )
+    assert told == [(done, 80) for done in range(1, 81)]
+
+
 def test_cost_of_rows() -> None:
     """Nothing to speak of within 0.8 tolerances, then one per tolerance; not a number is worst."""
     near = Evaluation([Residual('x_rotate', 'rigid', 'rise_time', 0.01, 0.0104)])

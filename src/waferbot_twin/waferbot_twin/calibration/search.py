@@ -66,7 +66,8 @@ def search(
     Return `start` with the stage's unknowns improved by differential evolution.
 
     The first population is the start, a cloud around it, and a quarter anywhere within the bounds.
-    Zero generations return the start.
+    Zero generations return the start. `progress` is called with the candidates judged and to judge; it
+    may end early, when the population has become one point.
     """
     steps = stage.generations if generations is None else generations
     if steps == 0:
@@ -82,18 +83,17 @@ def search(
     crowd[-anywhere:] = low + (high - low) * random.random((anywhere, len(low)))
     crowd[0] = first
 
+    judged = 0
+
     def cost(point: np.ndarray) -> float:
+        nonlocal judged
         try:
             return stage.evaluate(_with(start, stage, point)).cost
         except (UserError, np.linalg.LinAlgError):
             return IMPOSSIBLE
-
-    generation = 0
-
-    def count(point: np.ndarray, convergence: float) -> None:
-        nonlocal generation
-        generation += 1
-        progress(generation, steps)
+        finally:
+            judged += 1
+            progress(judged, (steps + 1) * stage.population)
 
     found = differential_evolution(
         cost,
@@ -106,7 +106,6 @@ def search(
         recombination=0.8,
         polish=False,
         tol=1e-9,
-        callback=count,
     )
     return _with(start, stage, found.x)
 

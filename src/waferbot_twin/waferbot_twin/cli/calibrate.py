@@ -39,6 +39,12 @@ from waferbot_twin.plain_values import significant
 QUICK_GENERATIONS = 3
 STAGES = ('payload', 'y_rotate', 'as_built_payload', 'as_built_y_rotate')
 
+EXAMPLES = (
+    'waferbot calibrate --evaluate --stage y_rotate',
+    'waferbot calibrate --quick --out calibration',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot calibrate`."""
@@ -64,12 +70,13 @@ def execute(options: argparse.Namespace) -> int:
     values = calibrated()
     as_built = calibrated('as_built_payload', 'as_built_y_rotate')
     result: dict[str, Any] = {}
-    for name in options.stage or STAGES:
+    stages = options.stage or STAGES
+    for number, name in enumerate(stages, 1):
         stage = KNOWN[name]
         begun_s = time.perf_counter()
         departs = name.startswith('as_built')
         start = as_built if departs else values
-        with progress_bar(f'calibrating {name}') as progress:
+        with progress_bar(f'calibrating {name} ({number} of {len(stages)})') as progress:
             found = search(stage, start, generations, progress)
         if departs:
             as_built = found

@@ -25,6 +25,13 @@ from waferbot_twin.plain_values import significant
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import AxisResponse, axis_responses, rms_difference
 
+EXAMPLES = (
+    'waferbot run --experiment step_x_rotate --model rigid --engine inprocess --out runs/rigid',
+    'waferbot run --experiment step_x_rotate --model flexible --engine inprocess --out runs/flexible',
+    'waferbot compare runs/flexible runs/rigid',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot compare`."""

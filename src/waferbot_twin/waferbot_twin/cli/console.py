@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -23,7 +24,10 @@ from rich.table import Table
 from waferbot_twin.plain_values import finite
 
 QUIET_S = 2.0
-"""Nothing shorter than this gets a progress bar."""
+"""Of nothing shorter than this is progress told."""
+
+LEAST_SHARE = 0.01
+"""Share that must be done before a remaining time is told."""
 
 error_console = Console(stderr=True, highlight=False, markup=False)
 
@@ -57,9 +61,13 @@ def say(text: str) -> None:
 
 @contextlib.contextmanager
 def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Give a function (done, total) that draws a bar on a terminal, once it has taken a while."""
+    """
+    Give a function (done, total) that tells progress and remaining time, once it has taken a while.
+
+    On a terminal it draws a bar. Elsewhere, as in the log of a script, it writes one line.
+    """
     if not error_console.is_terminal:
-        yield lambda done, total: None
+        yield _progress_line(what)
         return
     begun_s = time.monotonic()
     bar = Progress(
@@ -87,3 +95,35 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     finally:
         if started:
             bar.stop()
+
+
+def _progress_line(what: str) -> Callable[[int, int], None]:
+    """
+    Return a function (done, total) that says once how long it will still take.
+
+    Counted from where `done` begins to rise: before that, something was compiled or started. One in
+    a hundred must be done, so that the estimate is worth something.
+    """
+    first: tuple[float, int] | None = None
+    told = False
+
+    def show(done: int, total: int) -> None:
+        nonlocal first, told
+        now_s = time.monotonic()
+        if first is None or done <= first[1]:
+            first = (now_s, done)
+        elapsed_s, more = now_s - first[0], done - first[1]
+        if told or elapsed_s < QUIET_S or more < LEAST_SHARE * total or done >= total:
+            return
+        told = True
+        say(f'{what}: about {in_words(elapsed_s * (total - done) / more)} left')
+
+    return show
+
+
+def in_words(duration_s: float) -> str:
+    """Return a duration as one reads it: `8 s`, `3 min`, `2 h`; rounded up, at least 1 s."""
+    for unit_s, unit, most in ((1.0, 's', 120.0), (60.0, 'min', 7200.0)):
+        if duration_s <= most:
+            return f'{max(math.ceil(duration_s / unit_s), 1)} {unit}'
+    return f'{math.ceil(duration_s / 3600.0)} h'

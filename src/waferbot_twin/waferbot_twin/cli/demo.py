@@ -41,6 +41,9 @@ MODEL, MACHINE = 'rigid', 'as_built'
 FINDING, JUDGING = ('moves', 'random_steps'), ('steps',)
 """Logs in `config/demo`: those that causes are found in, and the thesis' steps that judge."""
 
+EXAMPLES = ('waferbot demo --out demo',)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot demo`."""

@@ -2,8 +2,6 @@
 """
 Find what the simulation of a measured log gets wrong, and why; extend the model; measure the gain.
 
-  waferbot diagnose MEASURED... [--validate OTHER...] [--model NAME|FILE] --out DIR
-
 Causes and their values are those of all logs. What they gain is measured in OTHER, logs with another
 motion, with the causes fitted to MEASURED alone; without OTHER, in the last part of each log. DIR gets
 report.html (what was found, how sure, pictures), report.json and extended.yaml, a model that every node
@@ -37,12 +35,30 @@ CONDITIONS = {'unexplained': 3, 'cause': 4, 'loss': 5}
 LOSS_PERCENT = 1.0
 """Increase of the RMS error from which on it is a loss."""
 
+EXAMPLES = (
+    'waferbot synthesize --effect viscous_friction:x_rotate --seed 1 --out logs/day1',
+    'waferbot synthesize --effect viscous_friction:x_rotate --seed 2 --out logs/day2',
+    'waferbot diagnose logs/day1 --validate logs/day2 --model rigid --out diagnosis',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot diagnose`."""
-    parser.add_argument('measured', nargs='+', type=Path, help='logs to find causes in')
     parser.add_argument(
-        '--validate', nargs='+', type=Path, default=[], metavar='OTHER', help='logs that judge'
+        'measured',
+        nargs='+',
+        type=Path,
+        metavar='MEASURED',
+        help='estimation data: logs in which causes are sought and fitted',
+    )
+    parser.add_argument(
+        '--validate',
+        nargs='+',
+        type=Path,
+        default=[],
+        metavar='OTHER',
+        help='validation data: logs that are not used for the fit',
     )
     parser.add_argument('--model', default='rigid', metavar='NAME|FILE', help='default: rigid')
     parser.add_argument('--out', type=Path, required=True, metavar='DIR', help='a new folder')

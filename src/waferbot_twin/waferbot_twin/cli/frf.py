@@ -2,9 +2,6 @@
 """
 Frequency response of an axis from logs, measured beside simulated, and the peaks that differ.
 
-  waferbot run --experiment multisine_x_rotate --model as_built --out runs/measured
-  waferbot frf runs/measured --model rigid --out runs/frf
-
 The logs are of a swept sine, a multisine or random positions; several are taken together. With the
 commanded position in them the estimate is free of the loop's noise; the model is commanded the same and
 its log goes through the same estimator. DIR gets frf.png and frf.json.
@@ -29,6 +26,12 @@ if TYPE_CHECKING:
 
 FILES = ('frf.png', 'frf.json')
 RESPONSES = ('plant', 'loop', 'drive')
+
+EXAMPLES = (
+    'waferbot run --experiment multisine_x_rotate --engine inprocess --out runs/multisine',
+    'waferbot frf runs/multisine --model flexible --out frf',
+)
+"""What `--help` shows; tests run them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -2,9 +2,6 @@
 """
 Identify parameters of a machine from measured logs, with intervals and what stays open.
 
-  waferbot identify LOG... --parameter bodies.carriage.mass_kg --parameter pmac.y_linear.Ixx30 --out DIR
-  waferbot identify LOG... --method least-squares --validate OTHER... --out DIR
-
 With --method simulation (the default) each --parameter is a path into the machine's description,
 pmac.AXIS.NAME or copley.AXIS.NAME, and may become ten times larger or smaller, or what PATH=low:high
 says. DIR gets report.html, report.json and identified.yaml, a model that every node and engine loads:
@@ -32,6 +29,13 @@ if TYPE_CHECKING:
 
 SIMULATION, LEAST_SQUARES = 'simulation', 'least-squares'
 TERMS = ('direction', 'rise')
+
+EXAMPLES = (
+    'waferbot run --experiment random_y_linear --engine inprocess --duration 1 --out logs/motion',
+    'waferbot identify logs/motion --parameter bodies.carriage.mass_kg --out identified',
+    'waferbot identify logs/motion --method least-squares --out friction',
+)
+"""What `--help` shows; tests run them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,6 +20,12 @@ from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.plain_values import significant
 
+EXAMPLES = (
+    'waferbot import runs/measured --out logs/measured',
+    'waferbot import scope.csv --map scope.yaml --out logs/scope',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot import`."""

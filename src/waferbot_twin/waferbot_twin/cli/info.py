@@ -16,6 +16,9 @@ from waferbot_twin.logs import archive
 from waferbot_twin.recording.completeness import Account, reported
 from waferbot_twin.recording.reader import Recording, read_recording
 
+EXAMPLES = ('waferbot info runs/step',)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot info`."""

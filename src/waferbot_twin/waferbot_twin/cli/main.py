@@ -30,6 +30,7 @@ COMMANDS = {
     'replay': 'replay',
     'info': 'info',
     'plot': 'plot',
+    'view': 'view',
     'metrics': 'metrics',
     'compare': 'compare',
     'import': 'import_log',
@@ -68,6 +69,7 @@ def build_parser(chosen: str = '') -> argparse.ArgumentParser:
         if name == chosen:
             module = import_module(f'waferbot_twin.cli.{module_name}')
             module.add_arguments(command)
+            command.epilog = '\n  '.join(['examples:', *module.EXAMPLES])
             command.set_defaults(execute=module.execute)
     return parser
 

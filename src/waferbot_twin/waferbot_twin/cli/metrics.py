@@ -22,6 +22,12 @@ from waferbot_twin.plain_values import significant
 from waferbot_twin.recording.reader import read_recording
 from waferbot_twin.response import AxisResponse, axis_responses
 
+EXAMPLES = (
+    'waferbot metrics runs/step',
+    'waferbot metrics runs/step --rise main-peak --json',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot metrics`."""

@@ -27,6 +27,12 @@ FORMATS = ('.png', '.svg', '.pdf')
 BANDWIDTH_HZ = 30.0
 DAMPING = ('calculated', 'improved')
 
+EXAMPLES = (
+    'waferbot modes --model flexible --plot modes.png',
+    'waferbot modes --pose x_rotate=0.5',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot modes`."""

@@ -13,6 +13,9 @@ from waferbot_twin.recording.reader import read_recording
 
 FORMATS = ('.png', '.svg', '.pdf')
 
+EXAMPLES = ('waferbot plot runs/step --out step.png',)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot plot`."""

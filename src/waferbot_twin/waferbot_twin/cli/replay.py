@@ -20,6 +20,12 @@ from waferbot_twin.models import NODES, Model, load_model, recorded_model
 from waferbot_twin.plan import Plan
 from waferbot_twin.recording.reader import Recording, read_recording
 
+EXAMPLES = (
+    'waferbot replay runs/step --node pmac',
+    'waferbot replay runs/step --node plant --model rigid --json',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot replay`."""
@@ -71,13 +77,17 @@ def execute(options: argparse.Namespace) -> int:
         'RMS recorded',
         'RMS difference',
         'largest',
-        'from tick',
+        'from [s]',
     ):
         table.add_column(
             heading, justify='left' if heading in ('topic', 'of', 'unit') else 'right'
         )
     for difference in differences:
-        first = '' if difference.first_tick is None else str(difference.first_tick)
+        first_s = (
+            ''
+            if difference.first_tick is None
+            else f'{recording.timing.seconds(difference.first_tick):.5f}'
+        )
         table.add_row(
             difference.topic,
             difference.place,
@@ -85,7 +95,7 @@ def execute(options: argparse.Namespace) -> int:
             f'{difference.rms_recorded:.6g}',
             f'{difference.rms:.6g}',
             f'{difference.largest:.6g}',
-            first,
+            first_s,
         )
     result_console.print(table)
     print('identical' if identical else 'not identical')

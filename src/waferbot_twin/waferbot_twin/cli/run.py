@@ -27,6 +27,12 @@ from waferbot_twin.plan import Outcome, Plan, make_plan
 
 ENGINES = ('ros', 'composed', 'inprocess')
 
+EXAMPLES = (
+    'waferbot run --experiment step --out runs/step',
+    'waferbot run --experiment step_x_rotate --model as_built --engine inprocess --out runs/measured',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot run`."""

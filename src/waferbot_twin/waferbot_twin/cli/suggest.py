@@ -2,9 +2,6 @@
 """
 Suggest the experiment that tells causes apart which the logs at hand cannot separate.
 
-  waferbot suggest REPORT --out DIR
-  waferbot suggest --rivals coulomb_friction:x_rotate viscous_friction:x_rotate,damping=0.3 --out DIR
-
 REPORT is the folder of a diagnosis. Every experiment of the library and some designed ones are
 simulated with each of the causes in the machine; the best is written to DIR/experiment.yaml, which
 waferbot run and waferbot synthesize take.
@@ -25,10 +22,18 @@ from waferbot_twin.output_folder import OutputFolder
 SHOWN = 12
 """Experiments that are printed; all are in the report."""
 
+EXAMPLES = (
+    'waferbot suggest diagnosis --out next',
+    'waferbot suggest --rivals coulomb_friction:x_rotate viscous_friction:x_rotate --out apart',
+)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot suggest`."""
-    parser.add_argument('report', nargs='?', type=Path, help='the folder of a diagnosis')
+    parser.add_argument(
+        'report', nargs='?', type=Path, metavar='REPORT', help='the folder of a diagnosis'
+    )
     parser.add_argument(
         '--rivals', nargs='+', default=[], metavar='EFFECT:AXIS[,KEY=VALUE...]',
         help='causes to tell apart, in place of a report; values that are not given are typical',

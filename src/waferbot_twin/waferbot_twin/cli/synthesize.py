@@ -2,8 +2,6 @@
 """
 Make a log as a real machine would give it, with hidden effects.
 
-  waferbot synthesize --effect coulomb_friction:x_rotate,friction=2.5 --effect backlash --out log
-
 An effect without an axis gets one by chance, a parameter that is not given has a typical value. The log
 holds encoder counts, currents, commands and states as a logger on the machine sees them, with noise, and
 nothing that tells what is hidden in it; --truth writes that to a file of its own.
@@ -19,6 +17,12 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.recording.writer import as_json
+
+EXAMPLES = (
+    'waferbot synthesize --list',
+    'waferbot synthesize --effect coulomb_friction:x_rotate,friction=2.5 --out logs/hidden',
+)
+"""What `--help` shows; tests run them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

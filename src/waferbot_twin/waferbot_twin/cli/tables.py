@@ -21,6 +21,9 @@ from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import significant
 
+EXAMPLES = ('waferbot tables --html tables',)
+"""What `--help` shows; tests run them."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot tables`."""

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Check the plant: mathematical against multibody, and the energy books.
+Check the plant: mathematical against multibody, and the balance of energy.
 
   open loop   1 A on each axis from rest: accelerations of the two rigid plants, as in chapter 3
   random      the same over random machines, states and forces
@@ -40,6 +40,10 @@ class Check:
     def passed(self) -> bool:
         """Whether the value found keeps the limit; one that is not a number does not."""
         return abs(self.found) <= self.limit
+
+
+EXAMPLES = ('waferbot verify',)
+"""What `--help` shows; tests run them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

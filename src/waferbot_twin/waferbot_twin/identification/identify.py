@@ -33,7 +33,11 @@ AT_BOUND = 0.01
 
 @dataclass(frozen=True)
 class Channel:
-    """What is left over in one channel of a block: RMS before and after, and if it is white."""
+    """
+    What is left over in one channel of a block: RMS before and after, and if it is white.
+
+    `step_s` is the time from sample to sample, the unit of the lags of `whiteness`.
+    """
 
     block: str
     log: str
@@ -41,6 +45,7 @@ class Channel:
     unit: str
     rms_before: float
     rms_after: float
+    step_s: float
     whiteness: Whiteness | None
 
 
@@ -137,6 +142,7 @@ def _channels(problem: Problem, found: Estimate) -> list[Channel]:
                         unit,
                         factor * float(np.sqrt(np.mean(before**2))),
                         factor * float(np.sqrt(np.mean(after**2))),
+                        float(np.median(np.diff(part.times_s(name)))),
                         _whiteness(
                             part, name, fitted.whitened[place], fitted.colours[place].error.order
                         ),

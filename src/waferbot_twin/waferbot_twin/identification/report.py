@@ -165,7 +165,7 @@ def page(result: Identification) -> str:
         f'{"(singular) " if math.isinf(found.condition_number) else ""}of the white, scaled '
         'sensitivities; a combination with a singular value s has a standard error of 1 / s.</p>',
         picture(_draw_conditioning(result)),
-        '<h2>What is left over</h2>',
+        '<h2>Residuals</h2>',
         _channel_table(result),
         picture(_draw_whiteness(result)),
         '<h2>Gain</h2>',
@@ -207,7 +207,7 @@ def _channel_table(result: Identification) -> str:
         )
     return (
         '<table><tr><th>block, log, channel</th><th>RMS, model</th><th>RMS, identified</th>'
-        '<th>chance if white</th><th>chance if nothing of the command is left</th></tr>'
+        '<th>p-value: white</th><th>p-value: independent of the command</th></tr>'
         f'{rows}</table>'
     )
 
@@ -275,11 +275,12 @@ def _draw_whiteness(result: Identification) -> Figure:
             (row[1], item.whiteness.input_correlation, 0),
         ):
             if values is not None:
-                panel.bar(np.arange(first, first + len(values)), values, color=AFTER, width=0.7)
+                lags_ms = 1e3 * item.step_s * np.arange(first, first + len(values))
+                panel.bar(lags_ms, values, color=AFTER, width=0.7e3 * item.step_s)
             bound = item.whiteness.bound
             panel.axhspan(-bound, bound, color='#dddddd', zorder=0)
             panel.grid(alpha=0.3)
         row[0].set_title(f'{item.block}, {item.log}: {item.name}', fontsize=9, loc='left')
-    panels[-1][0].set_xlabel('lag of the residual with itself [samples]')
-    panels[-1][1].set_xlabel('lag behind the commanded position [samples]')
+    panels[-1][0].set_xlabel('lag of the residual with itself [ms]')
+    panels[-1][1].set_xlabel('lag behind the commanded position [ms]')
     return figure
