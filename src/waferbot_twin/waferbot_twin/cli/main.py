@@ -18,11 +18,11 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from importlib import import_module
-from importlib.resources import files
 from types import FrameType
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 
 COMMANDS = {
@@ -88,7 +88,7 @@ class _Version(argparse.Action):
 
 def _docstring(module_name: str) -> str:
     """Return the docstring of a command's module without importing it."""
-    source = files('waferbot_twin.cli').joinpath(f'{module_name}.py').read_text('utf-8')
+    source = package_data('waferbot_twin', 'cli', f'{module_name}.py').read_text('utf-8')
     return ast.get_docstring(ast.parse(source), clean=False) or ''
 
 
