@@ -180,7 +180,7 @@ def test_the_interface_finds_models_machines_mappings_and_the_logs_of_the_demo(r
         'from waferbot_twin.logs.mapping import load_mapping\n'
         "print(wb.load_model('as_built'))\n"
         "print(load_mapping('emps').name)\n"
-        "print(len(wb.load_logs(logs() / 'steps')[0].to_dataframe()))\n",
+        "print(len(wb.load_logs(logs() / 'steps')[0].to_dataframe(wb.load_model('rigid'))))\n",
     )
     assert done.returncode == 0, done.stderr
     assert 'emps' in done.stdout

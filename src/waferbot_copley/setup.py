@@ -15,7 +15,8 @@ setup(
     install_requires=['setuptools'],
     zip_safe=False,
     maintainer='waferbot maintainers',
-    maintainer_email='maintainers@waferbot.invalid',
+    maintainer_email='maintainers@waferbot.org',
+    url='https://github.com/waferbot/waferbot',
     description='The Copley amplifier: commutation, current loop, limits, filters, and the Copley node.',
     license='Apache-2.0',
     entry_points={

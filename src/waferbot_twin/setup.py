@@ -18,7 +18,8 @@ setup(
     install_requires=['setuptools'],
     zip_safe=False,
     maintainer='waferbot maintainers',
-    maintainer_email='maintainers@waferbot.invalid',
+    maintainer_email='maintainers@waferbot.org',
+    url='https://github.com/waferbot/waferbot',
     description='The twin as a whole: run, record, replay, plot; the waferbot command and the launch files.',
     license='Apache-2.0',
     entry_points={
