@@ -24,6 +24,7 @@ from typing import Any
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_twin.workers import remove_shared_memory_of_the_dead
 
 COMMANDS = {
     'run': 'run',
@@ -102,6 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if chosen and chosen not in COMMANDS:
             parser.error(f'there is no command {chosen!r}{did_you_mean(chosen, COMMANDS)}')
         options = parser.parse_args(arguments)
+        remove_shared_memory_of_the_dead()
         with _ended_in_order():
             code = int(options.execute(options) or EXIT_OK)
             sys.stdout.flush()
