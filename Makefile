@@ -26,7 +26,7 @@ help:
 	@echo 'make bench-fuzz  5000 damaged inputs of every kind, none of which may bring a traceback'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
 	@echo 'make docs       the documentation as a site in build/docs; broken links are errors'
-	@echo 'make audit      known vulnerabilities of what is installed (needs the network)'
+	@echo 'make audit      known vulnerabilities of the locked versions (needs the network)'
 	@echo 'make lock       newest versions within the bounds, as the lock of this Python'
 	@echo 'make clean      remove everything that the above made'
 
@@ -79,12 +79,15 @@ $(VENV)/.docs: $(VENV)/.installed requirements/docs.txt
 	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
 	touch $@
 
-# Known vulnerabilities of what is installed; asks the databases of PyPI, so it needs the network.
-audit: $(VENV)/.installed
+# Known vulnerabilities of the versions in the lock; asks the database of PyPI, so it needs the network. What
+# the database does not know is an error, too.
+audit:
+	@test -e $(LOCK) || { echo 'There is no $(LOCK); run make lock first.' >&2; exit 1; }
 	$(PYTHON) -m venv build/audit
 	build/audit/bin/python -m pip install --quiet --disable-pip-version-check pip-audit
-	build/audit/bin/pip-audit --path $(VENV)/lib/python3*/site-packages $(OPTIONS)
+	build/audit/bin/python -m pip_audit --strict --disable-pip --no-deps --requirement $(LOCK) $(OPTIONS)
 
+# The newest versions within the bounds, to be committed when `make test` has passed with them.
 lock:
 	$(PYTHON) .ci/lock $(REQUIREMENTS) > $(LOCK).new
 	mv $(LOCK).new $(LOCK)
