@@ -3,17 +3,19 @@
 
 SHELL := /bin/bash
 PYTHON ?= python3
-VENV := $(CURDIR)/.venv
+# Make splits names at spaces: files are named relative to this folder.
+VENV := .venv
 MESSAGES := $(shell find src/waferbot_msgs -type f)
 PACKAGE_FILES := $(wildcard src/*/package.xml src/*/setup.py src/*/setup.cfg)
-SHARED_FILES := $(shell find src -path '*/config/*' -o -path '*/launch/*' -o -path '*/urdf/*')
+LAUNCH_FILES := $(wildcard src/*/launch/*)
+REQUIREMENTS := -r requirements/ros-jazzy.txt -r requirements/runtime.txt -r requirements/development.txt
+# Exact versions that were tried, where there are some for this Python; the lower bounds alone elsewhere.
+LOCK = requirements/lock-python$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
 
-# A ROS 2 installation that happens to be sourced must not be mixed with the wheels.
-CLEAN_ENVIRONMENT := env -u AMENT_PREFIX_PATH -u CMAKE_PREFIX_PATH -u COLCON_PREFIX_PATH -u PYTHONPATH -u LD_LIBRARY_PATH
 RUN := ./waferbot --exec
 SIDE_BY_SIDE := --numprocesses auto --dist loadfile
 
-.PHONY: help build demo test test-fast lint bench bench-diagnosis bench-fuzz clean
+.PHONY: help build demo test test-fast lint bench bench-diagnosis bench-fuzz docs audit lock clean
 
 help:
 	@echo 'make demo       set up, run the twin over ROS 2, diagnose logs of a machine'
@@ -23,6 +25,9 @@ help:
 	@echo 'make bench-diagnosis  blind tests of the diagnosis; OPTIONS=--help says how to do a part of them'
 	@echo 'make bench-fuzz  5000 damaged inputs of every kind, none of which may bring a traceback'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
+	@echo 'make docs       the documentation as a site in build/docs; broken links are errors'
+	@echo 'make audit      known vulnerabilities of the locked versions (needs the network)'
+	@echo 'make lock       newest versions within the bounds, as the lock of this Python'
 	@echo 'make clean      remove everything that the above made'
 
 build: install/.built
@@ -30,16 +35,13 @@ build: install/.built
 $(VENV)/.installed: $(wildcard requirements/*.txt)
 	@echo 'Making .venv with ROS 2 Jazzy from PyPI (about a minute) ...'
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check \
-	  -r requirements/ros-jazzy.txt -r requirements/runtime.txt -r requirements/development.txt
+	@test -e $(LOCK) || echo 'There is no $(LOCK): the newest versions within the bounds are taken.'
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check $(REQUIREMENTS) \
+	  $(if $(wildcard $(LOCK)),--constraint $(LOCK))
 	touch $@
 
-install/.built: $(VENV)/.installed $(MESSAGES) $(PACKAGE_FILES) $(SHARED_FILES)
-	@# links to files that are no more would stop colcon
-	@find build install -xtype l -delete 2>/dev/null || true
-	$(CLEAN_ENVIRONMENT) PATH="$(VENV)/bin:$$PATH" AMENT_PREFIX_PATH=$(VENV) CMAKE_PREFIX_PATH=$(VENV) \
-	  $(VENV)/bin/colcon build --merge-install --symlink-install --base-paths src \
-	  --event-handlers status- 2> >(grep -v "doesn't contain any 'local_setup" >&2)
+install/.built: $(VENV)/.installed $(MESSAGES) $(PACKAGE_FILES) $(LAUNCH_FILES)
+	.ci/colcon-build
 	touch $@
 
 demo: build
@@ -69,6 +71,26 @@ bench-diagnosis: build
 
 bench-fuzz: build
 	$(RUN) python tests/bench/bench_fuzz.py $(OPTIONS)
+
+docs: $(VENV)/.docs
+	$(VENV)/bin/python -m mkdocs build --strict --site-dir build/docs
+
+$(VENV)/.docs: $(VENV)/.installed requirements/docs.txt
+	$(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -r requirements/docs.txt
+	touch $@
+
+# Known vulnerabilities of the versions in the lock; asks the database of PyPI, so it needs the network. What
+# the database does not know is an error, too.
+audit:
+	@test -e $(LOCK) || { echo 'There is no $(LOCK); run make lock first.' >&2; exit 1; }
+	$(PYTHON) -m venv build/audit
+	build/audit/bin/python -m pip install --quiet --disable-pip-version-check pip-audit
+	build/audit/bin/python -m pip_audit --strict --disable-pip --no-deps --requirement $(LOCK) $(OPTIONS)
+
+# The newest versions within the bounds, to be committed when `make test` has passed with them.
+lock:
+	$(PYTHON) .ci/lock $(REQUIREMENTS) > $(LOCK).new
+	mv $(LOCK).new $(LOCK)
 
 clean:
 	rm -rf .venv build install log runs bench-results .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -171,13 +171,11 @@ def test_the_recording_says_that_nothing_is_missing(recording):
 
 def write_with_hole(folder, topic, hole, ticks=400):
     """Write a recording in which `topic` lacks the tick `hole`; return the writer and account."""
-    import waferbot_msgs.msg
-
     timing = Timing()
     account = Account(timing)
     writer = RecordingWriter(folder, {'run.json': '{}'}, live=True)
     for one in CONTRACT_TOPICS:
-        wire = WireFormat(getattr(waferbot_msgs.msg, one.message))
+        wire = WireFormat(one.type_name)
         writer.add_topic(f'/{one.name}', one.type_name)
         width = len(wire.encode.__self__._struct.unpack(bytes(wire.size))) - 7
         for tick in range(0, ticks, account.topics[one].spacing):

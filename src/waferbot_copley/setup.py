@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-from glob import glob
-
 from setuptools import find_packages, setup
 
 package_name = 'waferbot_copley'
@@ -9,16 +7,16 @@ setup(
     name=package_name,
     version='0.1.0',
     packages=find_packages(exclude=['test']),
-    package_data={'': ['*.json', '*.yaml', '*.html']},
+    package_data={'': ['*.json', '*.yaml', '*.html', '*.xml', 'py.typed', 'config/**/*']},
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config', glob('config/*.*')),
     ],
     install_requires=['setuptools'],
-    zip_safe=True,
+    zip_safe=False,
     maintainer='waferbot maintainers',
-    maintainer_email='maintainers@waferbot.invalid',
+    maintainer_email='maintainers@waferbot.org',
+    url='https://github.com/waferbot/waferbot',
     description='The Copley amplifier: commutation, current loop, limits, filters, and the Copley node.',
     license='Apache-2.0',
     entry_points={

@@ -10,27 +10,19 @@ setup(
     version='0.1.0',
     packages=find_packages(exclude=['test']),
     package_data={
-        '': ['*.json', '*.yaml', '*.html', 'py.typed'],
+        '': ['*.json', '*.yaml', '*.html', '*.xml', 'py.typed', 'config/**/*'],
         'waferbot_twin.view': ['page/*.*', 'page/vendor/*.*'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', ['resource/' + package_name]),
         ('share/' + package_name, ['package.xml']),
-        ('share/' + package_name + '/config/models', glob('config/models/*.*')),
-        ('share/' + package_name + '/config/examples', glob('config/examples/*.*')),
-        ('share/' + package_name + '/config/layouts', glob('config/layouts/*.*')),
-        ('share/' + package_name + '/config/demo', glob('config/demo/*.yaml')),
-        *(
-            ('share/' + package_name + '/' + log, glob(log + '/*.*'))
-            for log in sorted(glob('config/demo/*'))
-            if not log.endswith('.yaml')
-        ),
         ('share/' + package_name + '/launch', glob('launch/*.*')),
     ],
     install_requires=['setuptools'],
-    zip_safe=True,
+    zip_safe=False,
     maintainer='waferbot maintainers',
-    maintainer_email='maintainers@waferbot.invalid',
+    maintainer_email='maintainers@waferbot.org',
+    url='https://github.com/waferbot/waferbot',
     description='The twin as a whole: run, record, replay, plot; the waferbot command and the launch files.',
     license='Apache-2.0',
     entry_points={

@@ -2,7 +2,6 @@
 """Settings: defaults, ranges, contradictions, and what the amplifier makes of them."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from waferbot_copley import filters
 from waferbot_copley.settings import SETTINGS, amplifier_parameters, settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.timing import Timing
 
 
@@ -106,7 +106,7 @@ def test_rate_of_the_current_loop_enters():
 
 def test_shipped_configuration_is_accepted():
     """The file in config/ holds known settings in range, for all three axes."""
-    path = Path(__file__).parents[1] / 'config' / 'amplifiers.yaml'
+    path = package_data('waferbot_copley', 'config', 'amplifiers.yaml')
     settings = yaml.safe_load(path.read_text('utf-8'))['/**/copley']['ros__parameters']
     assert tuple(settings) == AXES
     parameters = amplifier_parameters(settings, where=path.name)

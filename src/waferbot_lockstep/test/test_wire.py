@@ -2,6 +2,7 @@
 """Our CDR against rclpy's own serialization."""
 
 import array
+import struct
 
 import numpy as np
 import pytest
@@ -12,7 +13,10 @@ from sensor_msgs.msg import JointState
 
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import CONTRACT_TOPICS
+from waferbot_lockstep.definitions import field_types
+from waferbot_lockstep.definitions_file import definitions_text
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.standard_messages import clock_message, joint_state_message, stamp_of
 from waferbot_lockstep.wire import WireFormat
 
@@ -24,6 +28,10 @@ RANGES = {
     'int64': st.integers(-(2**63), 2**63 - 1),
     'double': st.floats(allow_nan=False),
 }
+
+
+def wire_of(message_type):
+    return WireFormat(f'waferbot_msgs/msg/{message_type.__name__}')
 
 
 def fields_behind_valid(message_type):
@@ -64,7 +72,7 @@ def flat_values(message):
 
 @pytest.mark.parametrize('message_type', TYPES, ids=lambda cls: cls.__name__)
 def test_bytes_are_those_of_rclpy(message_type):
-    wire = WireFormat(message_type)
+    wire = wire_of(message_type)
 
     @settings(max_examples=30, deadline=None)
     @given(any_message(message_type))
@@ -81,7 +89,7 @@ def test_bytes_are_those_of_rclpy(message_type):
 
 @pytest.mark.parametrize('message_type', TYPES, ids=lambda cls: cls.__name__)
 def test_structured_array_is_the_same_message(message_type):
-    wire = WireFormat(message_type)
+    wire = wire_of(message_type)
     message = message_type(tick=8, valid=5)
     message.header.stamp.nanosec = 444444
     for index, (name, _) in enumerate(fields_behind_valid(message_type)):
@@ -103,21 +111,54 @@ def test_message_with_frame_id_is_understood():
     message = waferbot_msgs.msg.Encoders(tick=2, valid=15)
     message.counts[:] = [1, -2, 3, -4]
     message.header.frame_id = 'somebody else'
-    wire = WireFormat(waferbot_msgs.msg.Encoders)
+    wire = WireFormat('waferbot_msgs/msg/Encoders')
     data = serialize_message(message)
     assert not wire.is_plain(data)
     assert wire.decode(data) == (2, 0, 15, (1, -2, 3, -4))
     assert wire.is_plain(wire.normalised(data))
 
 
+@pytest.mark.parametrize('message_type', TYPES, ids=lambda cls: cls.__name__)
+def test_big_endian_messages_of_any_frame_are_understood(message_type):
+    """Against a packer of its own, by the rules of CDR: each value aligned to its size."""
+    codes = {'uint8': 'B', 'uint32': 'I', 'uint64': 'Q', 'int64': 'q', 'double': 'd'}
+    wire = wire_of(message_type)
+    for frame in ('', 'a', 'base_link'):
+        text = frame.encode() + b'\0'
+        body = struct.pack('>iII', 5, 7, len(text)) + text
+        values = []
+        for index, (_, kind) in enumerate(
+            list(message_type.get_fields_and_field_types().items())[1:]
+        ):
+            scalar, _, count = kind.partition('[')
+            size = struct.calcsize(codes[scalar])
+            body += bytes(-len(body) % size)
+            for place in range(int(count[:-1]) if count else 1):
+                values.append(3 * index + place + 1)
+                body += struct.pack('>' + codes[scalar], values[-1])
+        decoded = wire.decode(b'\0\0\0\0' + body)
+        assert decoded == (values[0], 5 * 10**9 + 7, values[1], tuple(values[2:]))
+        assert wire.decode(wire.normalised(b'\0\0\0\0' + body)) == decoded
+
+
+def test_definitions_are_those_that_rosidl_installs():
+    """If this fails, a message was changed: python -m waferbot_lockstep.definitions_file."""
+    kept = package_data('waferbot_lockstep', 'definitions.json').read_text('utf-8')
+    assert definitions_text() == kept
+    for message_type, topic in zip(TYPES, CONTRACT_TOPICS, strict=True):
+        fields = message_type.get_fields_and_field_types()
+        spelt = {name: kind.replace('double', 'float64') for name, kind in fields.items()}
+        assert field_types(topic.type_name) == spelt
+
+
 def test_bytes_that_are_no_message_are_refused():
     with pytest.raises(UserError, match='Encoders'):
-        WireFormat(waferbot_msgs.msg.Encoders).decode(b'\x00\x01\x00\x00\x07')
+        WireFormat('waferbot_msgs/msg/Encoders').decode(b'\x00\x01\x00\x00\x07')
 
 
 def test_type_without_fixed_size_is_refused():
     with pytest.raises(TypeError):
-        WireFormat(waferbot_msgs.msg.Stop)
+        WireFormat('waferbot_msgs/msg/Stop')
 
 
 def test_joint_state_and_clock_are_those_of_rclpy():

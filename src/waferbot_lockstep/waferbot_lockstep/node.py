@@ -44,6 +44,7 @@ from rclpy.signals import SignalHandlerOptions
 
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
+from waferbot_lockstep.definitions import field_types
 from waferbot_lockstep.errors import LockstepError, UserError
 from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.interrupt import Interrupt
@@ -82,6 +83,25 @@ def latched_qos() -> QoSProfile:
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
+def message_class(topic: Topic) -> Any:
+    """
+    Return the generated class of a topic's messages.
+
+    Raises `UserError` if its fields are not those that the bytes are packed by.
+    """
+    found = getattr(waferbot_msgs.msg, topic.message)
+    generated = {
+        name: kind.replace('double', 'float64')
+        for name, kind in found.get_fields_and_field_types().items()
+    }
+    if list(generated.items()) != list(field_types(topic.type_name).items()):
+        raise UserError(
+            f'{topic.type_name} as installed has other fields than waferbot_lockstep knows: after a '
+            'change of a message, build, then run `python -m waferbot_lockstep.definitions_file`'
+        )
+    return found
+
+
 class LockstepNode(Node):
     """
     A node of the twin.
@@ -115,10 +135,9 @@ class LockstepNode(Node):
         self._publishers_of: dict[Topic, Any] = {}
         self._last_messages: dict[Any, Any] = {}  # by publisher
         for topic in gives:
-            message_type = getattr(waferbot_msgs.msg, topic.message)
-            self._wire[topic] = WireFormat(message_type)
+            self._wire[topic] = WireFormat(topic.type_name)
             self._publishers_of[topic] = self.create_publisher(
-                message_type, topic.name, lockstep_qos()
+                message_class(topic), topic.name, lockstep_qos()
             )
         for topic, mask in needs.items():
             self.need(topic, mask)
@@ -245,8 +264,8 @@ class LockstepNode(Node):
 
     def need(self, topic: Topic, mask: int) -> None:
         """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
-        message_type = getattr(waferbot_msgs.msg, topic.message)
-        decode = WireFormat(message_type).decode
+        message_type = message_class(topic)
+        decode = WireFormat(topic.type_name).decode
         if self.timekeeping == REALTIME:
             push = self._real_time_input(topic, mask)
         else:

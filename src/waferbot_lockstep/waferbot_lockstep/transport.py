@@ -19,8 +19,9 @@ import itertools
 import os
 import re
 from collections.abc import MutableMapping, Sequence
-from importlib.resources import files
 from pathlib import Path
+
+from waferbot_lockstep.package_data import package_data
 
 DISCOVERY = 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
@@ -44,7 +45,7 @@ def choose_transport(
         return
     if discovery == 'LOCALHOST':
         environment[DISCOVERY] = 'SYSTEM_DEFAULT'
-        environment[PROFILES] = str(files(__package__) / 'real_time_transport.xml')
+        environment[PROFILES] = str(package_data('waferbot_lockstep', 'real_time_transport.xml'))
     else:
         environment.setdefault(BUILTIN_TRANSPORTS, 'UDPv4')
 

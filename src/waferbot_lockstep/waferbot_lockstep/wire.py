@@ -13,7 +13,7 @@ size, counted from behind the encapsulation; a string is its length with the clo
 characters and the zero. `std_msgs/Header` with an empty `frame_id` is therefore 13 bytes.
 
 A message that another vendor sends differently (big endian, a non-empty `frame_id`) is still
-understood: it then takes the slow way through rclpy.
+understood: it is then read value by value.
 """
 
 from __future__ import annotations
@@ -24,21 +24,25 @@ from typing import Any
 
 import numpy as np
 
+from waferbot_lockstep.definitions import field_types
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 _FRAME_ID_LENGTH = 1  # of an empty string: only its closing zero
 
-# ROS name: (struct code, NumPy name)
+# name in a message definition: (struct code, NumPy name)
 _SCALARS = {
     'uint8': ('B', 'u1'),
     'int32': ('i', 'i4'),
     'uint32': ('I', 'u4'),
     'int64': ('q', 'i8'),
     'uint64': ('Q', 'u8'),
-    'double': ('d', 'f8'),
+    'float64': ('d', 'f8'),
 }
+_NUMPY_NAMES = dict(_SCALARS.values())
+_ENCAPSULATIONS = {b'\x00\x00': '>', b'\x00\x01': '<'}
+"""Of plain CDR, with the order of bytes."""
 
 
 class WireFormat:
@@ -50,12 +54,12 @@ class WireFormat:
     many of them can be decoded or made at once; `value_fields` names the fields behind `valid`.
     """
 
-    def __init__(self, message_type: Any) -> None:
-        """Build the codec from a generated message class (`waferbot_msgs.msg.Encoders`, ...)."""
-        self.message_type = message_type
-        fields = list(message_type.get_fields_and_field_types().items())
+    def __init__(self, type_name: str) -> None:
+        """Build the codec of a message type by its full name, `waferbot_msgs/msg/Encoders`."""
+        self.type_name = type_name
+        fields = list(field_types(type_name).items())
         if [name for name, _ in fields[:3]] != ['header', 'tick', 'valid']:
-            raise TypeError(f'{message_type.__name__} is not a lock-step message')
+            raise TypeError(f'{type_name} is not a lock-step message')
         self.value_fields = [name for name, _ in fields[3:]]
         layout = _Layout()
         layout.add('stamp_sec', 'int32')
@@ -65,6 +69,7 @@ class WireFormat:
         for name, type_name in fields[1:]:
             layout.add(name, type_name)
         self._struct = struct.Struct(layout.format)
+        self._fields = [_scalar(type_of_field) for _, type_of_field in fields[1:]]
         self.size = self._struct.size
         self.dtype = np.dtype(
             {
@@ -116,18 +121,24 @@ class WireFormat:
         return self.encode(tick, stamp_ns, valid, values)
 
     def _decode_slowly(self, data: bytes) -> tuple[int, int, int, tuple[float, ...]]:
-        from rclpy.serialization import deserialize_message
-
+        """Decode value by value: any order of bytes, any `frame_id`."""
+        order = _ENCAPSULATIONS.get(bytes(data[:2]))
+        body = memoryview(data)[len(LITTLE_ENDIAN) :]
         try:
-            message = deserialize_message(data, self.message_type)
-        except Exception as error:  # rclpy raises its own, undocumented type here
-            raise UserError(f'no valid {self.message_type.__name__} message: {error}') from error
-        values: list[float] = []
-        for name in self.value_fields:
-            values.extend(np.atleast_1d(getattr(message, name)).tolist())
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * NANOSECONDS_PER_SECOND + stamp.nanosec
-        return message.tick, stamp_ns, message.valid, tuple(values)
+            if order is None:
+                raise ValueError(f'encapsulation {bytes(data[:2]).hex()!r} is not plain CDR')
+            seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', body)
+            position = 12 + length  # behind the frame_id
+            values: list[float] = []
+            for code, count in self._fields:
+                position += -position % struct.calcsize(f'={code}')
+                part = struct.Struct(f'{order}{count}{code}')
+                values.extend(part.unpack_from(body, position))
+                position += part.size
+        except (ValueError, struct.error) as error:
+            raise UserError(f'no valid {self.type_name} message: {error}') from error
+        tick, valid, *rest = values
+        return int(tick), seconds * NANOSECONDS_PER_SECOND + nanoseconds, int(valid), tuple(rest)
 
     def records(self, messages: Sequence[bytes]) -> np.ndarray:
         """Return many messages as one structured array of shape (len(messages),)."""
@@ -141,6 +152,14 @@ class WireFormat:
         return array
 
 
+def _scalar(type_name: str) -> tuple[str, int]:
+    """Return the struct code of a field's type and how many there are, `float64[3]`: d, 3."""
+    scalar, _, rest = type_name.partition('[')
+    if scalar not in _SCALARS or (rest and not rest[:-1].isdigit()):
+        raise TypeError(f'a field of type {type_name} has no fixed size')
+    return _SCALARS[scalar][0], int(rest[:-1]) if rest else 1
+
+
 class _Layout:
     """Places fields one after another by the rules of CDR."""
 
@@ -152,16 +171,14 @@ class _Layout:
         self._position = 0  # counted from behind the encapsulation
 
     def add(self, name: str, type_name: str) -> None:
-        scalar, _, rest = type_name.partition('[')
-        if scalar not in _SCALARS or (rest and not rest[:-1].isdigit()):
-            raise TypeError(f'field {name} of type {type_name} has no fixed size')
-        code, numpy_name = _SCALARS[scalar]
-        count = int(rest[:-1]) if rest else 1
+        code, count = _scalar(type_name)
+        numpy_name = _NUMPY_NAMES[code]
+        array = type_name.endswith(']')
         size = struct.calcsize('<' + code)
         padding = -self._position % size
         self._position += padding
         self.format += f'{padding}x' * bool(padding) + f'{count}{code}'
         self.names.append(name)
-        self.formats.append((f'<{numpy_name}', (count,)) if rest else f'<{numpy_name}')
+        self.formats.append((f'<{numpy_name}', (count,)) if array else f'<{numpy_name}')
         self.offsets.append(len(LITTLE_ENDIAN) + self._position)
         self._position += count * size

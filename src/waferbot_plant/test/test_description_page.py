@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 import waferbot_plant
+from waferbot_lockstep.package_data import package_data
 from waferbot_plant import motors
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_names, description_source
@@ -56,7 +57,7 @@ def test_the_example_on_the_page_loads() -> None:
 
 
 def test_every_shipped_example_is_named_and_loads() -> None:
-    folder = Path(__file__).resolve().parents[1] / 'config' / 'examples'
+    folder = package_data('waferbot_plant', 'config', 'examples')
     text = PAGE.read_text('utf-8')
     for file in folder.glob('*.yaml'):
         assert f'`{file.stem}`' in text

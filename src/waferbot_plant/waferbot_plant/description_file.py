@@ -16,11 +16,12 @@ import yaml
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant.description import DAMPING, STATES, Description
 from waferbot_plant.description_reader import Reader
 
-_SCHEMA = json.loads(Path(__file__).with_name('description.schema.json').read_text('utf-8'))
+_SCHEMA = json.loads(package_data('waferbot_plant', 'description.schema.json').read_text('utf-8'))
 _SECTION_SCHEMA = {
     name: jsonschema.Draft202012Validator({'$defs': _SCHEMA['$defs'], **schema})
     for name, schema in _SCHEMA['properties'].items()

@@ -29,6 +29,7 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, read
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import (
@@ -472,13 +473,7 @@ def _fill_two_sided(p: np.void, kind: str, two_sided: Sequence[Element]) -> None
 
 def config_folder() -> Path:
     """Return the folder of the descriptions that come with the package."""
-    here = Path(__file__).resolve()
-    candidates = [here.parents[1] / 'config']
-    candidates += [above / 'share' / 'waferbot_plant' / 'config' for above in here.parents]
-    for folder in candidates:
-        if folder.is_dir():
-            return folder
-    raise UserError('the folder of machine descriptions is missing; install waferbot_plant again')
+    return package_data('waferbot_plant', 'config')
 
 
 def find_description(name_or_path: str | Path) -> Path:

@@ -4,7 +4,6 @@
 import contextlib
 import json
 from importlib import resources
-from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_pmac import experiments
 from waferbot_pmac.experiments import (
     commanded_positions,
@@ -25,7 +25,7 @@ from waferbot_pmac.settings import load_settings
 
 RATE = 2250.0
 PARAMETERS = servo_parameters(
-    load_settings(Path(__file__).parent.parent / 'config' / 'pmac.yaml').settings
+    load_settings(package_data('waferbot_pmac', 'config', 'pmac.yaml')).settings
 )
 
 

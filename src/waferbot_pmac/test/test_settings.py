@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """I-variables, and settings from YAML and from listings."""
 
-from pathlib import Path
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_pmac.i_variables import (
     I_VARIABLES,
     axis_parameters,
@@ -17,7 +16,7 @@ from waferbot_pmac.i_variables import (
 )
 from waferbot_pmac.settings import load_settings, parse_listing, parse_yaml
 
-SHIPPED = Path(__file__).parent.parent / 'config' / 'pmac.yaml'
+SHIPPED = package_data('waferbot_pmac', 'config', 'pmac.yaml')
 
 TABLE_3_2 = (3, 4, 7, 8, 9, 16, 17, *range(30, 40), 63, 65, 68, 69)
 

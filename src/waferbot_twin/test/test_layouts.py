@@ -8,20 +8,19 @@ import json
 import numbers
 import re
 from itertools import chain
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 import yaml
-from ament_index_python.packages import get_package_share_directory
 from rclpy.serialization import deserialize_message
 
 from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.package_data import package_data
 from waferbot_twin.engines import inprocess
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.reader import read_content, recording_file
 
-LAYOUTS = Path(get_package_share_directory('waferbot_twin')) / 'config' / 'layouts'
+LAYOUTS = package_data('waferbot_twin', 'config', 'layouts')
 POSITION_ENCODER = (0, 1, 2)
 """Place in `encoders.counts` of the encoder that each axis is positioned by (Ixx03)."""
 

@@ -12,7 +12,7 @@ so a node started by hand takes those first and the model second:
       ros__parameters:
         y_linear: {Ixx30: 2000}
 
-Names of shipped models are the file names in `share/waferbot_twin/config/models`.
+Names of shipped models are the file names in `waferbot_twin/config/models`.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from ament_index_python.packages import get_package_share_directory
 
 from waferbot_copley.settings import settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.node_settings import NODE_PARAMETERS
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import Parameter, did_you_mean
 from waferbot_plant.node_settings import PLANT_PARAMETERS
 from waferbot_plant.plant import description_names
@@ -90,7 +90,7 @@ class Model:
 
 def models_folder() -> Path:
     """Return the folder of the shipped models."""
-    return Path(get_package_share_directory('waferbot_twin')) / 'config' / 'models'
+    return package_data('waferbot_twin', 'config', 'models')
 
 
 def model_names() -> list[str]:
@@ -158,8 +158,8 @@ def recorded_model(recording: Recording) -> Model:
 def base_files() -> tuple[Path, ...]:
     """Return the parameter files that every model begins with."""
     return (
-        Path(get_package_share_directory('waferbot_pmac')) / 'config' / 'pmac.yaml',
-        Path(get_package_share_directory('waferbot_copley')) / 'config' / 'amplifiers.yaml',
+        package_data('waferbot_pmac', 'config', 'pmac.yaml'),
+        package_data('waferbot_copley', 'config', 'amplifiers.yaml'),
     )
 
 

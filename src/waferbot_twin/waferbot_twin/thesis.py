@@ -5,15 +5,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import yaml
 
+from waferbot_lockstep.package_data import package_data
 from waferbot_twin.metrics import FIGURES
 
-_TABLES = Path(__file__).with_name('thesis_tables.yaml')
-_DEVIATIONS = Path(__file__).with_name('known_deviations.yaml')
+_TABLES = package_data('waferbot_twin', 'thesis_tables.yaml')
+_DEVIATIONS = package_data('waferbot_twin', 'known_deviations.yaml')
 
 
 @dataclass(frozen=True)

@@ -4,23 +4,23 @@
 from __future__ import annotations
 
 import subprocess
-from importlib import metadata
 from pathlib import Path
+
+VERSION = '0.1.0'
+"""Of all packages; also in each `package.xml` and `setup.py`."""
 
 
 def version_text() -> str:
-    """Return the version and the commit, `0.1.0 (4f45868c1a2b)`; without what is not known."""
-    try:
-        version = metadata.version('waferbot_twin')
-    except metadata.PackageNotFoundError:
-        version = 'of unknown version'
+    """Return the version and the commit, `0.1.0 (4f45868c1a2b)`, which is known in a checkout."""
     revision = git_revision()
-    return f'{version} ({revision})' if revision else version
+    return f'{VERSION} ({revision})' if revision else VERSION
 
 
 def git_revision() -> str | None:
     """Return the commit, with `-dirty` where files were changed since; None outside a checkout."""
     folder = Path(__file__).resolve().parent
+    if folder.parts[-3:] != ('src', 'waferbot_twin', 'waferbot_twin'):
+        return None  # an installed package; whose repository it lies in says nothing about it
     try:
         described = subprocess.run(
             ['git', '-C', str(folder), 'describe', '--always', '--dirty', '--abbrev=12'],

@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import jsonschema
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 
 LENGTH_UNITS = ('m', 'rad', 'counts')
@@ -68,7 +68,7 @@ def shipped_experiments() -> list[str]:
     """Return the names of the experiments that come with this package, sorted."""
     return sorted(
         entry.name.removesuffix('.yaml')
-        for entry in resources.files(__package__).iterdir()
+        for entry in package_data(__package__).iterdir()
         if entry.name.endswith('.yaml')
     )
 
@@ -84,7 +84,7 @@ def load_experiment(name_or_path_or_text: str | Path) -> Experiment:
     if '\n' in given or given.lstrip().startswith('{'):
         return _checked(given, 'experiment text')
     if given in shipped_experiments():
-        text = resources.files(__package__).joinpath(f'{given}.yaml').read_text('utf-8')
+        text = package_data(__package__, f'{given}.yaml').read_text('utf-8')
         return _checked(text, f'{given}.yaml')
     try:
         return _checked(Path(given).read_text('utf-8'), given)
@@ -98,7 +98,7 @@ def load_experiment(name_or_path_or_text: str | Path) -> Experiment:
 
 @functools.lru_cache(maxsize=1)
 def _validator() -> jsonschema.protocols.Validator:
-    text = resources.files(__package__).joinpath('experiment.schema.json').read_text('utf-8')
+    text = package_data(__package__, 'experiment.schema.json').read_text('utf-8')
     return jsonschema.Draft202012Validator(json.loads(text))
 
 

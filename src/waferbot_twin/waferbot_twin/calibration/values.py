@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from waferbot_lockstep.marked_yaml import read
+from waferbot_lockstep.package_data import package_data
 
 Values = dict[str, float]
 
-CALIBRATED = Path(__file__).with_name('calibrated.yaml')
+CALIBRATED = package_data('waferbot_twin', 'calibration', 'calibrated.yaml')
 """The values that the shipped machine and gains were made from, by stage and name."""
 
 

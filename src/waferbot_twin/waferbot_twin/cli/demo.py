@@ -19,9 +19,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ament_index_python.packages import get_package_share_directory
 from rich.table import Table
 
+from waferbot_lockstep.package_data import package_data
 from waferbot_twin.cli import run
 from waferbot_twin.cli.console import print_json, progress_bar, result_console, say
 from waferbot_twin.cli.keeping import Kept, keep
@@ -108,7 +108,7 @@ def _at_work(folder: Path) -> dict[str, Any]:
 
 def logs() -> Path:
     """Return the folder of the logs that come with the package."""
-    return Path(get_package_share_directory('waferbot_twin')) / 'config' / 'demo'
+    return package_data('waferbot_twin', 'config', 'demo')
 
 
 def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:

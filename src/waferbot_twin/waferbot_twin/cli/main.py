@@ -18,12 +18,13 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from importlib import import_module
-from importlib.resources import files
 from types import FrameType
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_twin.workers import remove_shared_memory_of_the_dead
 
 COMMANDS = {
     'run': 'run',
@@ -90,7 +91,7 @@ class _Version(argparse.Action):
 
 def _docstring(module_name: str) -> str:
     """Return the docstring of a command's module without importing it."""
-    source = files('waferbot_twin.cli').joinpath(f'{module_name}.py').read_text('utf-8')
+    source = package_data('waferbot_twin', 'cli', f'{module_name}.py').read_text('utf-8')
     return ast.get_docstring(ast.parse(source), clean=False) or ''
 
 
@@ -104,6 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if chosen and chosen not in COMMANDS:
             parser.error(f'there is no command {chosen!r}{did_you_mean(chosen, COMMANDS)}')
         options = parser.parse_args(arguments)
+        remove_shared_memory_of_the_dead()
         with _ended_in_order():
             code = int(options.execute(options) or EXIT_OK)
             sys.stdout.flush()

@@ -16,6 +16,7 @@ from rich.table import Table
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.console import print_json, progress_bar, result_console
+from waferbot_twin.engines.with_ros import engine_with_ros
 from waferbot_twin.models import NODES, Model, load_model, recorded_model
 from waferbot_twin.plan import Plan
 from waferbot_twin.recording.reader import Recording, read_recording
@@ -51,8 +52,7 @@ def execute(options: argparse.Namespace) -> int:
 
         differences = replay_in_process(recording, model, options.node)
     else:
-        from waferbot_twin.engines.replay_ros import replay_over_ros
-
+        replay_over_ros = engine_with_ros('replay_ros').replay_over_ros
         with progress_bar(f'replaying {options.node}') as progress:
             differences = replay_over_ros(
                 recording, recorded_plan(recording, model), options.node, progress

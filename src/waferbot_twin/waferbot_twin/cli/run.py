@@ -23,6 +23,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.cli.seeds import add_seed
+from waferbot_twin.engines.with_ros import engine_with_ros
 from waferbot_twin.plan import Outcome, Plan, make_plan
 
 ENGINES = ('ros', 'composed', 'inprocess')
@@ -133,13 +134,7 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
-    try:
-        from waferbot_twin.engines import ros
-    except ImportError as error:
-        raise UserError(
-            f'engine {options.engine} needs ROS 2 ({error}); source your installation, or use '
-            '--engine inprocess'
-        ) from error
+    ros = engine_with_ros('ros')
     ros_options = ros.RosOptions(
         composed=options.engine == 'composed',
         one_copley_per_axis=options.copley_per_axis,
@@ -149,4 +144,5 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         any_host=options.any_host,
         on_domain=lambda number: say(f'ROS_DOMAIN_ID={number}'),
     )
-    return ros.run(plan, options.out, options.force, progress, ros_options)
+    outcome: Outcome = ros.run(plan, options.out, options.force, progress, ros_options)
+    return outcome

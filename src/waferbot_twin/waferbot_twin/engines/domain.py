@@ -2,18 +2,17 @@
 """
 A ROS domain for each twin, so that two twins on one machine do not hear each other.
 
-A twin takes the first domain that no other twin has; the claim is a locked file, which the system
-releases when the process ends, however it ends. A domain that the user names (option or
-ROS_DOMAIN_ID) is taken as it is, but not twice.
+A twin takes the first domain that no other twin has. The claim is the name of a socket that no file
+belongs to (Linux: the abstract namespace of Unix sockets). The system releases it when the process
+ends, however it ends; it counts for all users and, as domains do, for one network namespace. A domain
+that the user names (option or ROS_DOMAIN_ID) is taken as it is, but not twice.
 """
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
-import tempfile
-from pathlib import Path
-from typing import IO
+import socket
 
 from waferbot_lockstep.errors import UserError
 
@@ -37,10 +36,10 @@ class Domain:
             wanted = _number('--domain', wanted)
         candidates = range(FIRST_DOMAIN, LAST_DOMAIN + 1) if wanted is None else (wanted,)
         for number in candidates:
-            lock = _claim(number)
-            if lock is not None:
+            claim = _claim(number)
+            if claim is not None:
                 self.number = number
-                self._lock = lock
+                self._claim = claim
                 return
         if wanted is not None:
             raise UserError(
@@ -53,21 +52,19 @@ class Domain:
 
     def release(self) -> None:
         """Give the domain back."""
-        self._lock.close()
+        self._claim.close()
 
 
-def _claim(number: int) -> IO[str] | None:
-    path = Path(tempfile.gettempdir()) / f'waferbot-domain-{number}.lock'
+def _claim(number: int) -> socket.socket | None:
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        lock = path.open('a')
-    except PermissionError:
-        return None  # another user's twin
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        lock.close()
+        claim.bind(f'\0waferbot-domain-{number}')
+    except OSError as error:
+        claim.close()
+        if error.errno != errno.EADDRINUSE:
+            raise
         return None
-    return lock
+    return claim
 
 
 def _number(source: str, text: str | int) -> int:

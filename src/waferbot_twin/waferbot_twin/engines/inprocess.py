@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-import waferbot_msgs.msg
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.compiled import compiled
@@ -327,7 +326,7 @@ class SignalRecorder:
         self._wire = {}
         for topic in topics:
             writer.add_topic(f'/{topic.name}', topic.type_name)
-            self._wire[topic] = WireFormat(getattr(waferbot_msgs.msg, topic.message))
+            self._wire[topic] = WireFormat(topic.type_name)
         self._standard_topics = standard_topics
         if standard_topics:
             for name, type_name in (CLOCK, JOINT_STATES):

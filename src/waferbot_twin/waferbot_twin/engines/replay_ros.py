@@ -16,7 +16,6 @@ import numpy as np
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-import waferbot_msgs.msg
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
@@ -61,7 +60,7 @@ class Player(LockstepNode):
             for topic in SPOKEN_FOR[node]
         }
         self.answers = {
-            topic: WireFormat(getattr(waferbot_msgs.msg, topic.message)).blank(
+            topic: WireFormat(topic.type_name).blank(
                 self.timing.messages(ticks, topic.ticks_between(self.timing))
             )
             for topic in outputs

@@ -10,15 +10,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping as Items
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import jsonschema
-from ament_index_python.packages import get_package_share_directory
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
+from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.logs.kinds import KINDS, OTHER_QUANTITIES, SAME_KIND, UNITS, is_linear
 from waferbot_twin.logs.machine import Machine, load_constants
@@ -118,7 +117,7 @@ class LogMapping:
 
 def example_mappings() -> dict[str, Path]:
     """Return the shipped mapping files by name."""
-    folder = Path(get_package_share_directory('waferbot_twin')) / 'config' / 'examples'
+    folder = package_data('waferbot_twin', 'config', 'examples')
     return {path.stem: path for path in sorted(folder.glob('*.yaml'))}
 
 
@@ -329,9 +328,7 @@ def _conversion(
     return found
 
 
-_GRAMMAR = json.loads(
-    resources.files(__package__).joinpath('mapping.schema.json').read_text('utf-8')
-)
+_GRAMMAR = json.loads(package_data('waferbot_twin.logs', 'mapping.schema.json').read_text('utf-8'))
 
 
 def _whole_number(checker: object, value: object) -> bool:

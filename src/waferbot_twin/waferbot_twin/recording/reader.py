@@ -22,13 +22,12 @@ from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-import waferbot_msgs.msg
 from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
+from waferbot_lockstep.definitions import type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.checked_json import TEXT, WHOLE, checked_json
-from waferbot_twin.recording.definitions import type_hash
 
 _LATEST_NS = 2**63 - 1
 
@@ -175,7 +174,7 @@ def recording_of(path: Path, file: Path, content: Content) -> Recording:
                 f'{file}: topic {name} was recorded with another definition of {topic.type_name}; '
                 'read it with the waferbot version that made it'
             )
-        wire = WireFormat(getattr(waferbot_msgs.msg, topic.message))
+        wire = WireFormat(topic.type_name)
         topics[topic.name] = merge_by_tick(wire.records(data), topic)
     return Recording(
         path,

@@ -30,7 +30,12 @@ from waferbot_lockstep.contract import (
     Topic,
 )
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, latched_qos, lockstep_qos
+from waferbot_lockstep.node import (
+    SIGN_OF_LIFE_PERIOD_S,
+    latched_qos,
+    lockstep_qos,
+    message_class,
+)
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
@@ -94,12 +99,11 @@ class Recorder(Node):
         )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
         for topic in CONTRACT_TOPICS:
-            message_type = getattr(waferbot_msgs.msg, topic.message)
             self._record(
                 topic.name,
                 topic.type_name,
-                message_type,
-                self._contract_callback(topic, WireFormat(message_type)),
+                message_class(topic),
+                self._contract_callback(topic, WireFormat(topic.type_name)),
             )
         for (name, type_name), message_type in ((CLOCK, Clock), (JOINT_STATES, JointState)):
             self._record(name, type_name, message_type, self._standard_callback(name))

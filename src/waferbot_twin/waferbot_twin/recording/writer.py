@@ -22,9 +22,9 @@ from mcap.writer import CompressionType, Writer
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
+from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.output_folder import OutputFolder
-from waferbot_twin.recording.definitions import full_text, type_hash
 
 CHUNK_BYTES = 1 << 18
 FLUSH_MESSAGES = 1000
