@@ -141,6 +141,11 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
         return SimpleNamespace(causes=causes, log_likelihood=-100.0 * error**2)
 
     monkeypatch.setattr(gauss_newton, 'evaluate', simulated)
+    monkeypatch.setattr(
+        gauss_newton,
+        'log_likelihood_ratio',
+        lambda this, other: this.log_likelihood - other.log_likelihood,
+    )
     value = np.array([20.0 * true])
     matrix = np.array([[promises / value[0]]])
     linear = gauss_newton.Linear(value, np.eye(1), matrix, matrix @ value)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from waferbot_twin.noise_model.motion_basis import motion_basis
+from waferbot_twin.noise_model.motion_basis import motion_basis, without_motion
 from waferbot_twin.noise_model.variance_components import (
     COLOURED_HZ,
     Shapes,
@@ -18,7 +18,8 @@ from waferbot_twin.noise_model.variance_components import (
 
 SEED = 20261210
 RATE_HZ, OBSERVER_HZ, DAMPING = 2250.0, 80.0, 0.7
-READING, INNOVATION, FIRST_FORCE = 0, 1, 2
+READING, INNOVATION = 0, 1
+FORCE = 2 + COLOURED_HZ.index(10.0)
 """Places of the shapes."""
 
 
@@ -38,7 +39,7 @@ def noise_of(random, weights, count=4500):
 def weights_of(**parts):
     found = np.zeros(2 + len(COLOURED_HZ))
     for name, value in parts.items():
-        found[{'reading': READING, 'white': INNOVATION, 'force': FIRST_FORCE}[name]] = value
+        found[{'reading': READING, 'white': INNOVATION, 'force': FORCE}[name]] = value
     return found
 
 
@@ -51,7 +52,7 @@ def test_every_shape_has_a_mean_of_one_over_the_band():
 def test_an_averaged_periodogram_of_white_noise_is_its_variance_everywhere():
     print(f'seed {SEED}')
     white = np.random.default_rng(SEED).normal(3.0, 2.0, 45000)
-    frequency_hz, power, lines = averaged_periodogram(white, RATE_HZ)
+    frequency_hz, power, lines = averaged_periodogram(white, RATE_HZ, np.zeros((len(white), 0)))
     assert lines.sum() == 22500
     assert np.all(np.diff(frequency_hz) > 0.0)
     assert frequency_hz[-1] < 0.5 * RATE_HZ
@@ -86,6 +87,26 @@ def test_the_spectrum_that_is_found_is_that_of_the_noise(parts):
     share = np.where(frequency_hz < OBSERVER_HZ, 0.2, 0.05)
     off = np.abs(np.mean(found, axis=0) - true @ grid)
     assert np.all(off < 4.0 * error + share * (true @ grid))
+
+
+def test_what_the_motion_takes_from_white_noise_is_not_missed_in_its_power():
+    """Eleven slow columns in a second: most of what is below 10 Hz is in their span."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    count = 2250
+    time_s = np.arange(count) / RATE_HZ
+    slow = np.column_stack([np.cos(np.pi * order * time_s) for order in range(11)])
+    basis, _ = np.linalg.qr(slow)
+    found = [
+        averaged_periodogram(without_motion(random.normal(size=count), basis), RATE_HZ, basis)
+        for _ in range(400)
+    ]
+    frequency_hz, _, lines = found[0]
+    power = np.mean([one[1] for one in found], axis=0)
+    error = 1.0 / np.sqrt(len(found) * np.maximum(lines, 0.1))
+    assert frequency_hz[0] < 2.0
+    assert lines[0] < 0.5
+    assert np.all(np.abs(power - 1.0) < 6.0 * error)
 
 
 def test_of_noise_of_readings_alone_the_variance_is_theirs():

@@ -146,12 +146,19 @@ def diagnose(
     dense, numbers = nuisance(nominal, settings)
     paths = [item.path for item in numbers]
     problem = Problem(nominal, records).with_prior(paths)
+    coloured = problem.with_coloured_forces()
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
-    pool = CandidatePool(problem.with_coloured_forces(), effects, settings, progress, workers)
-    posterior = infer(pool).fitted_to(problem)
+    posterior = infer(CandidatePool(coloured, effects, settings, progress, workers))
+    fitted_in = problem
+    to_estimate = Problem(nominal, estimation).with_prior(paths)
+    if any(is_nuisance(cause) for cause in posterior.found.causes):
+        # A prior and the logs weigh right beside each other only where the noise has the right size.
+        fitted_in, to_estimate = coloured, to_estimate.with_coloured_forces()
+    else:
+        posterior = posterior.fitted_to(problem)
     kept, refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
-        fitted_to(Problem(nominal, estimation).with_prior(paths), posterior.found.causes),
+        fitted_to(to_estimate, posterior.found.causes),
         settings.refutation_level,
     )
     named = tuple(cause for cause in kept if not is_discrepancy(cause))
@@ -166,9 +173,9 @@ def diagnose(
         for cause in extension.withdrawn
     ]
     withdrawn = [*refuted, *extension.withdrawn]
-    posterior = posterior.without(problem, [cause.name for cause in withdrawn])
+    posterior = posterior.without(fitted_in, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
-    causes = _found_causes(problem, posterior, settings)
+    causes = _found_causes(fitted_in, posterior, settings)
     corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
     extended = apply_all(nominal, [*corrected, *(item.cause for item in causes)])
     notes += _stands_for(extended, [item.cause for item in causes])

@@ -2,9 +2,9 @@
 """
 How much more the logs speak for one set of causes than for another.
 
-**Gain.** Two hypotheses A and B have the likelihoods L_A and L_B, each with the noise model of its own
-residuals r_A and r_B. With the difference d = r_B - r_A and the power lambda of what A leaves over along
-d, both filtered by the noise model of A, known with nu degrees of freedom
+**Gain.** Two hypotheses A and B leave the residuals r_A and r_B over and have the likelihood ratio
+L_A / L_B (`hypothesis.log_likelihood_ratio`). With the difference d = r_B - r_A and the power lambda
+of what A leaves over along d, both filtered by the noise model of A, known with nu degrees of freedom
 (`noise_model.residual_spectrum.power_along`),
 
     G = (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                                          (1)
@@ -37,7 +37,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio, parameters_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -71,8 +71,7 @@ def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool) -> float:
                 float(one @ one) - float(two @ two) for one, two in zip(before, left, strict=True)
             )
         else:
-            # Each with its own noise: another model may have another observer, which colours it anew.
-            squares = 2.0 * (fit.log_likelihood - other.fits[block].log_likelihood)
+            squares = 2.0 * log_likelihood_ratio(this, other, (block,))
         if squares != 0.0:
             total += power_along(left, changes, fit.colours).log_likelihood_ratio(squares)
     return total

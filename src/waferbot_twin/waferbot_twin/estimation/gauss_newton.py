@@ -21,6 +21,7 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
+    log_likelihood_ratio,
     parameters_of,
     signature,
     width_of,
@@ -80,7 +81,7 @@ def fit_causes(
     not found anew in every round (chord method). Raises
     `UserError` if the simulation blows up where the fit begins.
     """
-    now = first = evaluate(problem, causes)
+    now, gained = evaluate(problem, causes), 0.0
     names = names_of(problem, causes)
     reach = REACH
     for _ in range(rounds if names else 0):
@@ -90,9 +91,9 @@ def fit_causes(
         if better is None:
             break
         better.covariance = linear.covariance
-        gain = better.log_likelihood - now.log_likelihood
-        now = better
-        if gain < max(enough, roughly * (now.log_likelihood - first.log_likelihood)):
+        gain = log_likelihood_ratio(better, now)
+        now, gained = better, gained + gain
+        if gain < max(enough, roughly * gained):
             break
     return now
 
@@ -129,7 +130,7 @@ def _step(
             tried = evaluate(problem, moved(now.causes, names, change))
         except UserError:
             tried = now
-        if tried.log_likelihood > now.log_likelihood:
+        if log_likelihood_ratio(tried, now) > 0.0:
             return tried, 2.0 * reach
         widths = _widths(now.causes, names)
         reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.noise_model.prediction_error import Fit
+from waferbot_twin.noise_model.prediction_error import Fit, log_likelihood_with
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
@@ -38,6 +39,33 @@ class Hypothesis:
     def samples(self) -> int:
         """Samples of all channels."""
         return sum(item.samples for item in self.fits.values())
+
+
+def log_likelihood_ratio(
+    this: Hypothesis, other: Hypothesis, blocks: Iterable[str] | None = None
+) -> float:
+    """
+    Return ln L of `this` less that of `other`, both of the same problem, in some blocks or in all,
+
+        max over n of ln L(r_this; n) - max over n of ln L(r_other; n),  n in {n_this, n_other},   (1)
+
+    n_this and n_other the noise models of their residuals. The spectrum of noise is that of what does
+    not go with the motion (`noise_model.variance_components`), so it is not the one with which the
+    residual is most likely. With each its own, a model would win by what it makes of the noise: where it
+    leaves more at low frequencies, a larger slow noise is found, and that suits either residual better.
+    Antisymmetric.
+    """
+    total = 0.0
+    for block in this.fits if blocks is None else blocks:
+        both = this.fits[block], other.fits[block]
+        if both[0] is both[1]:
+            continue
+        mine, others = (
+            max(log_likelihood_with(fit.colours, item.residuals[block]) for fit in both)
+            for item in (this, other)
+        )
+        total += mine - others
+    return total
 
 
 def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:

@@ -24,7 +24,12 @@ from scipy.stats import chi2, norm
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    evaluate,
+    log_likelihood_ratio,
+    parameters_of,
+)
 from waferbot_twin.estimation.quantised_fit import same_bits
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -85,7 +90,7 @@ def _as_likely(
             there = evaluate(problem, (*causes[:place], moved, *causes[place + 1 :]))
         except UserError:
             return False
-        return 2.0 * (found.log_likelihood - there.log_likelihood) <= AS_LIKELY
+        return 2.0 * log_likelihood_ratio(found, there) <= AS_LIKELY
 
     reached = beyond = cause.values[item.name]
     step = math.copysign(FINEST * abs(reached or bound), bound - reached)

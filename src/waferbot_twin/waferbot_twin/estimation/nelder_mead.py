@@ -25,7 +25,7 @@ from scipy.optimize import OptimizeResult, minimize
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, left_of_bits
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
@@ -124,7 +124,7 @@ def _to_the_last_bit(problem: Problem, begun: Cause, found: Hypothesis) -> Hypot
             if leaves < least:
                 best, least = tried, leaves
         better = fit_causes(problem, (*others, best))
-        if better.log_likelihood > found.log_likelihood:
+        if log_likelihood_ratio(better, found) > 0.0:
             found = better
         if least == 0.0:
             break

@@ -272,22 +272,29 @@ def _result(
     changed: Sequence[bool] = (),
 ) -> Fit:
     """Judge what is left over: colour, variance and likelihood."""
-    log_likelihood, samples = 0.0, 0
     colours = _colours(left, noises, known, changed)
     in_units = in_deviations(colours, left)
-    for white, colour in zip(in_units, colours, strict=True):
-        # <w^2> is s^2, unless the floor holds the deviation up
-        above = float(np.mean(white**2)) - 1.0
-        log_likelihood -= len(white) * (math.log(colour.deviation) + 0.5 * above)
-        samples += len(white)
     return Fit(
         value,
         covariance,
-        log_likelihood,
-        samples,
+        _log_likelihood(in_units, colours),
+        sum(len(white) for white in in_units),
         tuple(in_units),
         tuple(colours),
         tuple(noises),
+    )
+
+
+def log_likelihood_with(colours: Sequence[Colour], channels: Sequence[Array]) -> float:
+    """Return how likely channels are, ln L up to a constant, with noise of given colours."""
+    return _log_likelihood(in_deviations(colours, channels), colours)
+
+
+def _log_likelihood(in_units: Sequence[Array], colours: Sequence[Colour]) -> float:
+    # <w^2> is s^2, unless the deviation is held up by the floor or is that of other residuals.
+    return -sum(
+        len(white) * (math.log(colour.deviation) + 0.5 * (float(np.mean(white**2)) - 1.0))
+        for white, colour in zip(in_units, colours, strict=True)
     )
 
 

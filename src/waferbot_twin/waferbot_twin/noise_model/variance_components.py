@@ -16,14 +16,13 @@ the reading through (f / f_o)^2 / D(f), D(f) = |1 - (f / f_o)^2 + 2 i z f / f_o|
 
     noise of the reading, white         B = (f / f_o)^4 / D^2
     noise of the innovation itself      B = 1
-    force, white up to a corner f_c     B = 1 / (D^2 (1 + (f / f_c)^2)),    f_c = 10 Hz, 30 Hz, none
+    force, white up to a corner f_c     B = 1 / (D^2 (1 + (f / f_c)^2)),    f_c = 1, 3, 10, 30 Hz, none
 
-Slower forces are not noise but something that the model lacks: they are left to causes and to the
-model discrepancy. And the spectrum is that of the residual without what goes with the motion
+And the spectrum is that of the residual without what goes with the motion
 (`motion_basis`). Values are estimated with white forces alone, so that every force weighs the same,
 as in inverse dynamics; colour is only allowed where models are compared, as it tells small causes
 from noise.
-On the EMPS axis the Coulomb friction is 20.1 N with white forces, 19.4 N with coloured ones, 20.4 N by
+On the EMPS axis the Coulomb friction is 20.1 N with white forces, 19.1 N with coloured ones, 20.5 N by
 least squares, and 14.2 N if the spectrum is that of all that is left over.
 
 The variances s_k are those of maximum likelihood in the averaged periodogram
@@ -36,6 +35,7 @@ compared and in intervals (`residual_spectrum.power_along`, `covariance`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -43,20 +43,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
+from waferbot_lockstep.compiled import compiled
 from waferbot_twin.noise_model.motion_basis import without_motion
 
 Array = NDArray[np.float64]
 
 WHITE_HZ = (np.inf,)
-COLOURED_HZ = (10.0, 30.0, np.inf)
+COLOURED_HZ = (1.0, 3.0, 10.0, 30.0, np.inf)
 """Corners of forces: for values, and for evidence."""
 
-STEPS = 60
+STEPS = 300
 """Multiplicative steps; far below the observer the spectrum may still be some tenths low after them."""
 
 BANDS_PER_OCTAVE = 6
-GRID = 1024
+GRID = 8192
 """Frequencies from 0 to half the sampling rate on which a spectrum becomes a filter."""
+
+LEAST_LINES = 0.01
+"""Of a band, so that rounding is no power where the motion takes it all."""
 
 RIDGE = 1e-9
 """Share of the variance that is added as white noise, so that every spectrum has a filter."""
@@ -79,12 +83,17 @@ class Shapes:
 
     def at(self, frequency_hz: Array) -> Array:
         """Return (k, n): every B_k at n frequencies, each with a mean of one over the whole band."""
-        return self._at(frequency_hz) / self.on_grid.mean(axis=1, keepdims=True)
+        return self._at(frequency_hz) / self._means
 
     @cached_property
     def on_grid(self) -> Array:
-        """Every B_k, as it is, on `GRID` + 1 frequencies up to half the sampling rate."""
-        return self._at(np.linspace(0.0, 0.5 * self.rate_hz, GRID + 1))
+        """Every B_k on `GRID` + 1 frequencies up to half the sampling rate."""
+        return self.at(np.linspace(0.0, 0.5 * self.rate_hz, GRID + 1))
+
+    @cached_property
+    def _means(self) -> Array:
+        grid_hz = np.linspace(0.0, 0.5 * self.rate_hz, GRID + 1)
+        return np.asarray(self._at(grid_hz).mean(axis=1, keepdims=True))
 
     def _at(self, frequency_hz: Array) -> Array:
         x = frequency_hz / self.observer_hz
@@ -94,38 +103,68 @@ class Shapes:
 
 
 def variances(residual: Array, shapes: Shapes) -> Array:
-    """Return s (k,) of equation (1) of a residual (N,) by maximum likelihood."""
-    frequency_hz, power, lines = averaged_periodogram(residual, shapes.rate_hz)
+    """Return s (k,) of equation (1) of a residual (N,), by maximum likelihood of what is no motion."""
+    frequency_hz, power, lines = averaged_periodogram(residual, shapes.rate_hz, shapes.motion)
     base = shapes.at(frequency_hz)
     total = float(np.sum(power * lines) / np.sum(lines))
     if not total > 0.0:
         return np.zeros(len(base))
-    found = np.full(len(base), total / len(base))
+    return np.asarray(_likeliest(base, power, lines, total), np.float64)
+
+
+@compiled
+def _likeliest(base: Array, power: Array, lines: Array, total: float) -> Array:
+    """Return the variances (k,) after `STEPS` steps from equal ones with a sum of `total`."""
+    count, bands = base.shape
+    found = np.full(count, total / count)
     for _ in range(STEPS):
-        model = np.maximum(found @ base, 1e-12 * total)
-        gained, paid = base @ (lines * power / model**2), base @ (lines / model)
-        found = found * np.sqrt(gained / np.maximum(paid, 1e-300))
-    return np.asarray(found, np.float64)
+        gained, paid = np.zeros(count), np.zeros(count)
+        for band in range(bands):
+            model = 1e-12 * total
+            for shape in range(count):
+                model += found[shape] * base[shape, band]
+            for shape in range(count):
+                weight = lines[band] * base[shape, band] / model
+                gained[shape] += weight * power[band] / model
+                paid[shape] += weight
+        for shape in range(count):
+            found[shape] *= math.sqrt(gained[shape] / max(paid[shape], 1e-300))
+    return found
 
 
-def averaged_periodogram(residual: Array, rate_hz: float) -> tuple[Array, Array, Array]:
+def averaged_periodogram(
+    residual: Array, rate_hz: float, motion: Array
+) -> tuple[Array, Array, Array]:
     """
     Return frequency (Hz), power and number of lines of bands of a periodogram.
 
     The power of white noise is its variance at every frequency. Bands grow with frequency; the
-    mean of the residual is left out.
+    mean of the residual is left out. Of a residual (N,) without its projection on `motion` (N, k) a
+    line has lost the share h of its power that white noise has there in the columns' span (the
+    leverage): it counts as 1 - h of a line, as restricted maximum likelihood counts degrees of freedom
+    (H. D. Patterson, R. Thompson, Biometrika 58, 1971). In a log of a second the motion takes most of
+    what is below 10 Hz.
     """
     count = len(residual)
     power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / count
     place = np.arange(1, len(power))
     band = np.floor(BANDS_PER_OCTAVE * np.log2(place)).astype(int)
     _, band = np.unique(band, return_inverse=True)
-    lines = np.bincount(band).astype(np.float64)
+    left = _left_by(motion, count)[1:]
+    lines = np.maximum(np.bincount(band, left), LEAST_LINES)
     return (
-        np.asarray(np.bincount(band, place) / lines * rate_hz / count),
+        np.asarray(np.bincount(band, place) / np.bincount(band) * rate_hz / count),
         np.asarray(np.bincount(band, power[1:]) / lines),
         lines,
     )
+
+
+def _left_by(motion: Array, count: int) -> Array:
+    """Return 1 - h of every line; 1 where the residual has other samples than the motion."""
+    if len(motion) != count:
+        return np.ones(count // 2 + 1)
+    inside = np.abs(np.fft.rfft(motion - motion.mean(axis=0), axis=0)) ** 2
+    return np.asarray(np.maximum(1.0 - inside.sum(axis=1) / count, 0.0))
 
 
 def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
@@ -137,8 +176,7 @@ def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
     """
     if len(residual) == len(shapes.motion):
         residual = without_motion(residual, shapes.motion)
-    each = shapes.on_grid / shapes.on_grid.mean(axis=1, keepdims=True)
-    spectrum = variances(residual, shapes) @ each
+    spectrum = variances(residual, shapes) @ shapes.on_grid
     autocovariance = np.fft.irfft(spectrum)[: order + 1]
     if not autocovariance[0] > 0.0:
         return np.concatenate([[1.0], np.zeros(order)])

@@ -27,6 +27,7 @@ from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     in_quick_steps,
+    log_likelihood_ratio,
     parameters_of,
     whole_change,
 )
@@ -162,7 +163,7 @@ def _damped(
         for one in _maxima(tried):
             best, _ = closer(problem, base, best_of(problem, base, one, SLOWER)[0])
             there = evaluate(problem, (*base.causes, best))
-            gain = 2.0 * (there.log_likelihood - base.log_likelihood)
+            gain = 2.0 * log_likelihood_ratio(there, base)
             if gain > STANDS_OUT:
                 found.append((best, gain))
     except UserError:  # the machine blows up with it

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -34,6 +34,7 @@ from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     in_quick_steps,
+    log_likelihood_ratio,
     parameters_of,
     signature,
     whole_change,
@@ -169,14 +170,13 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
         return Change(signature(problem, base, causes, len(causes) - 1))
     begun = evaluate(problem, causes)
     blocks = problem.touched(rival.effect, rival.axis)
-    without = problem.judge({block: base.residuals[block] for block in blocks})
+    # The residuals of `base` are those of longer steps, its noise is not.
+    judged = problem.judge({block: base.residuals[block] for block in blocks})
+    without = replace(base, fits={**base.fits, **judged})
     return Change(
         signature(problem, begun, causes, len(causes) - 1),
         begun,
-        sum(
-            2.0 * (begun.fits[block].log_likelihood - without[block].log_likelihood)
-            for block in blocks
-        ),
+        2.0 * log_likelihood_ratio(begun, without, blocks),
     )
 
 
