@@ -254,7 +254,7 @@ def closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, flo
     for close in CLOSE:
         before = gain
         cause, gain = best_of(problem, base, cause, [1.0 + share for share in close])
-        if gain < before + ENOUGH:
+        if gain < max(before + ENOUGH, STANDS_OUT):
             break
     return cause, gain
 

@@ -211,17 +211,20 @@ def _screen(
     scales: Sequence[float],
 ) -> list[Screened]:
     together = side_by_side(of_base, [_columns(item) for item in of_base])
-    every = _white(base, together)
+    known: dict[tuple[str, ...], _Known] = {}
     found = []
     for rival, change in asked:
         shown = {block: matrix for block, matrix in change.signature.items() if matrix.any()}
         if not shown:
             continue
-        about = change.begun or base
-        beside = every
+        blocks = tuple(dict.fromkeys([*shown, *(name for name in (PRIOR,) if name in together)]))
         if change.begun is not None:
-            beside = _white(about, {b: together[b] for b in (*shown, PRIOR) if b in together})
-        linear = _Linear.of(about, _white(about, shown), beside, change.gained)
+            beside = _Known.of(change.begun, together, blocks)
+        elif blocks in known:
+            beside = known[blocks]
+        else:
+            beside = known[blocks] = _Known.of(base, together, blocks)
+        linear = _Linear.of(beside, _white(change.begun or base, shown), change.gained)
         if _tried_as_a_whole(problem, rival):
             item = linear.as_a_whole(rival)
         else:
@@ -247,6 +250,60 @@ def _white(base: Hypothesis, signature: Signature) -> _White:
     }
 
 
+SMALLEST = 1e-5
+"""Singular value, over the largest, of known causes that do something of their own."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """
+    What is known in some blocks before a candidate is asked: white residuals of every channel.
+
+    `places` are block and number of each channel, `before` its residual as it is, `left` that of all
+    channels behind one another without what the known causes could explain: without its projection
+    on their orthonormal `columns` (N, k).
+    """
+
+    places: list[tuple[str, int]]
+    colours: list[Colour]
+    before: list[Array]
+    left: Array
+    columns: Array
+
+    @classmethod
+    def of(cls, about: Hypothesis, beside: Signature, blocks: tuple[str, ...]) -> _Known:
+        """Take what a hypothesis leaves over, and what its causes change (`beside`)."""
+        fits = [about.fits[block] for block in blocks]
+        before = [white for fit in fits for white in fit.whitened]
+        places = [(b, n) for b in blocks for n in range(len(about.fits[b].whitened))]
+        others = _white(about, {block: beside[block] for block in blocks if block in beside})
+        system = np.vstack(_in_places(places, before, others))
+        scale = np.linalg.norm(system, axis=0)
+        columns, sizes, _ = np.linalg.svd(system[:, scale > 0.0] / scale[scale > 0.0], False)
+        columns = columns[:, sizes > SMALLEST * sizes.max(initial=0.0)]
+        left = _without(np.concatenate(before), columns)
+        return cls(places, [one for fit in fits for one in fit.colours], before, left, columns)
+
+    def split(self, rows: Array) -> list[Array]:
+        """Return rows (N,) or (N, k) channel by channel."""
+        return np.split(rows, np.cumsum([len(one) for one in self.before])[:-1])
+
+
+def _in_places(
+    places: Sequence[tuple[str, int]], channels: Sequence[Array], signature: _White
+) -> list[Array]:
+    """Return the rows of a signature in every channel; zeros in blocks that it does not change."""
+    count = max((part.shape[1] for parts in signature.values() for part in parts), default=0)
+    return [
+        signature[block][number] if block in signature else np.zeros((len(channel), count))
+        for (block, number), channel in zip(places, channels, strict=True)
+    ]
+
+
+def _without(rows: Array, columns: Array) -> Array:
+    return np.asarray(rows - columns @ (columns.T @ rows))
+
+
 @dataclass(frozen=True)
 class _Linear:
     """
@@ -267,45 +324,34 @@ class _Linear:
     squares_as_it_is: float
 
     @classmethod
-    def of(cls, about: Hypothesis, own: _White, beside: _White, gained: float) -> _Linear:
-        """Fit `own` about a hypothesis, which has `gained` so much already, beside others."""
-        before: list[Array] = []
-        rows: list[Array] = []
-        colours: list[Colour] = []
-        count = next(iter(own.values()))[0].shape[1]
-        for block in dict.fromkeys([*own, *(name for name in (PRIOR,) if name in beside)]):
-            fit = about.fits[block]
-            others = beside.get(block)
-            for place, left in enumerate(fit.whitened):
-                part = own[block][place] if block in own else np.zeros((len(left), count))
-                before.append(left)
-                rows.append(np.hstack([part, others[place]]) if others else part)
-            colours += fit.colours
-        width = max(part.shape[1] for part in rows)
-        rows = [np.pad(part, ((0, 0), (0, width - part.shape[1]))) for part in rows]
-        system, right = np.vstack(rows), -np.concatenate(before)
-        scale = np.linalg.norm(system, axis=0)
+    def of(cls, known: _Known, own: _White, gained: float) -> _Linear:
+        """
+        Fit `own` beside what is known, about a hypothesis which has `gained` so much already.
+
+        By the theorem of Frisch, Waugh and Lovell: what known causes could explain is taken out of both
+        sides, once for all candidates.
+        """
+        rows = np.vstack(_in_places(known.places, known.before, own))
+        alone = _without(rows, known.columns)
+        scale = np.linalg.norm(alone, axis=0)
         scale[scale == 0.0] = 1.0
-        inverse = np.linalg.pinv(
-            (system / scale).T @ (system / scale), rcond=1e-10, hermitian=True
+        inverse = np.linalg.pinv((alone / scale).T @ (alone / scale), rcond=1e-10, hermitian=True)
+        value = -inverse @ ((alone / scale).T @ known.left) / scale
+        after = known.left + alone @ value
+        power = power_along(
+            known.split(after), known.split(np.concatenate(known.before) - after), known.colours
         )
-        solution = inverse @ ((system / scale).T @ right) / scale
-        after = [one + part @ solution for one, part in zip(before, rows, strict=True)]
-        change = [one - two for one, two in zip(before, after, strict=True)]
-        power = power_along(after, change, colours)
-        began = sum(float(one @ one) for one in before)
-        squares = gained + began - sum(float(one @ one) for one in after)
-        first = [part[:, 0] for part in rows]
-        moved = [one + part for one, part in zip(before, first, strict=True)]
-        as_it_is = began - sum(float(one @ one) for one in moved)
+        began = sum(float(one @ one) for one in known.before)
+        first = [part[:, 0] for part in known.split(rows)]
+        moved = [one + part for one, part in zip(known.before, first, strict=True)]
         return cls(
-            solution[:count],
-            power.value * (inverse / np.outer(scale, scale))[:count, :count],
+            value,
+            power.value * inverse / np.outer(scale, scale),
             power,
-            squares,
+            gained + began - float(after @ after),
             sum(float(part @ part) for part in first) / power.value,
-            power_along(moved, first, colours),
-            as_it_is,
+            power_along(moved, first, known.colours),
+            began - sum(float(one @ one) for one in moved),
         )
 
     def as_a_whole(self, rival: Cause) -> Screened | None:
