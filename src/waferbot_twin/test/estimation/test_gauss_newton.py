@@ -148,7 +148,7 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
     )
     value = np.array([20.0 * true])
     matrix = np.array([[promises / value[0]]])
-    linear = gauss_newton.Linear(value, np.eye(1), matrix, matrix @ value)
+    linear = gauss_newton.Linear(value, matrix, matrix @ value, matrix, None)
     now = simulated(None, (cause,))
     tried, _ = gauss_newton._step(None, now, [(0, parameter)], linear, gauss_newton.REACH)
     assert (tried is not None) == better

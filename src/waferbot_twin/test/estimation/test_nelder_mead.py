@@ -54,7 +54,7 @@ def test_a_fold_back_is_found_where_a_fit_by_slopes_leaves_it(nominal):
 
         start = {name: value * random.uniform(0.97, 1.03) for name, value in true.items()}
         begun = Cause(effect, AXIS, start)
-        by_slopes = fit_causes(problem, (begun,))
+        by_slopes = fit_causes(problem, (begun,), rounds=2)
         left_by_slopes += left(problem, by_slopes) > PLAIN
         found = downhill(problem, begun, by_slopes)
         assert left(problem, found) < PLAIN

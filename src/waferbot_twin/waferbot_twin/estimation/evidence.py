@@ -47,20 +47,23 @@ SMALLEST = 1e-12
 """Smallest variance of an estimate, as a share of its prior's: rounding, not knowledge."""
 
 
-def gain(more: Hypothesis, fewer: Hypothesis, noise_known: bool = False) -> float:
+def gain(
+    more: Hypothesis, fewer: Hypothesis, noise_known: bool = False, power_known: bool = False
+) -> float:
     """
     Return equation (1), block by block: how much likelier the logs are with `more` than with `fewer`.
 
     Antisymmetric: seen from the one that leaves less over. Both are hypotheses of the same problem. With
-    `noise_known` the noise of both is that of `more`, as where both were simulated with the same.
+    `noise_known` the noise of both is that of `more`, as where both were simulated with the same; with
+    `power_known` lambda is taken for the true one: nu is infinite.
     """
     if noise_known:
-        return _seen_from(more, fewer, True)
-    seen = _seen_from(more, fewer, False)
-    return seen if seen >= 0.0 else -max(_seen_from(fewer, more, False), 0.0)
+        return _seen_from(more, fewer, True, power_known)
+    seen = _seen_from(more, fewer, False, power_known)
+    return seen if seen >= 0.0 else -max(_seen_from(fewer, more, False, power_known), 0.0)
 
 
-def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool) -> float:
+def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool, power_known: bool) -> float:
     total = 0.0
     for block, fit in this.fits.items():
         left = fit.whitened
@@ -73,7 +76,9 @@ def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool) -> float:
         else:
             squares = 2.0 * log_likelihood_ratio(this, other, (block,))
         if squares != 0.0:
-            total += power_along(left, changes, fit.colours).log_likelihood_ratio(squares)
+            power = power_along(left, changes, fit.colours)
+            power = power.as_if_known if power_known else power
+            total += power.log_likelihood_ratio(squares)
     return total
 
 

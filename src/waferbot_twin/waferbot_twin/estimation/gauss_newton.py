@@ -5,12 +5,21 @@ Fit of all parameters of a set of causes, through the simulation.
 Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
 success, and within the bounds of the parameters (a bounded linear least-squares problem): a
 compliance that shrinks to nothing stops there while the others go on.
+
+Signatures J are corrected by what a step s has changed in the residuals r (C. G. Broyden, Mathematics of
+Computation 19, 1965),
+
+    J <- J + (r_after - r_before - J s) s' / (s' s),                                             (1)
+
+which costs no simulation, and knows better than differences along single parameters what a
+combination of them does: where an axis sticks and slips, each of them changes when it does, and much of
+that cancels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -32,11 +41,12 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
     whitened_jointly,
 )
+from waferbot_twin.noise_model.prediction_error import Fit, reduced
 from waferbot_twin.noise_model.residual_spectrum import covariance
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
-ROUNDS = 8
+ROUNDS = 24
 ENOUGH = 0.02
 """Gain in ln L below which another round is not worth its time."""
 
@@ -54,14 +64,20 @@ class Linear:
     """
     A problem about a hypothesis: change of residuals by the signatures of all its parameters.
 
-    `value` (k,) the change that makes the logs most likely and its `covariance` (k, k); `matrix`
-    (k, k) and `right` (k,) the same problem as a triangular one, |matrix x - right|^2 to be least.
+    `value` (k,) the change that makes the logs most likely, `system` (N, k) the white rows and
+    `estimate` their joint fit; `matrix` (k, k) and `right` (k,) the same problem with few rows,
+    |matrix x - right|^2 to be least.
     """
 
     value: Array
-    covariance: Array
     matrix: Array
     right: Array
+    system: Array
+    estimate: Fit
+
+    def covariance(self) -> Array:
+        """Return the covariance (k, k) of `value`."""
+        return covariance(self.system, self.estimate)
 
 
 def fit_causes(
@@ -77,25 +93,68 @@ def fit_causes(
     Return the causes with the values that make the logs most likely.
 
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
-    that was gained. `known` are signatures of the first causes that were found near here: they are
-    not found anew in every round (chord method). Raises
-    `UserError` if the simulation blows up where the fit begins.
+    that was gained. `known` are signatures of the first causes that were found near here. Signatures are
+    found once, and then corrected by what each step has changed (equation (1)); where no step gains any
+    more they are found anew, those that are `known` excepted. Raises `UserError` if the simulation blows
+    up where the fit begins.
     """
-    now, gained = evaluate(problem, causes), 0.0
+    now, gained, linear = evaluate(problem, causes), 0.0, None
     names = names_of(problem, causes)
-    reach = REACH
+    reach, fresh = REACH, False
+    signatures: list[Signature] = []
     for _ in range(rounds if names else 0):
-        linear = linearise(problem, now, names, workers, known)
-        now.covariance = linear.covariance
+        if not signatures:
+            signatures, fresh = [*known, *_signatures(problem, now, workers, len(known))], True
+        linear = linearise(problem, now, signatures)
         better, reach = _step(problem, now, names, linear, reach)
-        if better is None:
+        if better is None and fresh:
             break
-        better.covariance = linear.covariance
+        if better is None:
+            signatures, reach = [], REACH
+            continue
         gain = log_likelihood_ratio(better, now)
+        signatures, fresh = _corrected(problem, signatures, now, better), False
         now, gained = better, gained + gain
         if gain < max(enough, roughly * gained):
             break
-    return now
+    return now if linear is None else replace(now, covariance=linear.covariance())
+
+
+def _corrected(
+    problem: Problem, signatures: Sequence[Signature], before: Hypothesis, after: Hypothesis
+) -> list[Signature]:
+    """
+    Return equation (1): signatures that say of a step what it has changed.
+
+    Parameters count in their widths.
+    """
+    names = names_of(problem, before.causes)
+    scale = _widths(before.causes, names)
+    step = np.array(
+        [
+            after.causes[place].values[item.name] - before.causes[place].values[item.name]
+            for place, item in names
+        ]
+    )
+    square = float(np.sum((step / scale) ** 2))
+    if square == 0.0:
+        return list(signatures)
+    counts = [len(parameters_of(problem, cause)) for cause in before.causes]
+    predicted = side_by_side(signatures, counts)
+    missed = {
+        block: np.concatenate(after.residuals[block])
+        - np.concatenate(before.residuals[block])
+        - matrix @ step
+        for block, matrix in predicted.items()
+    }
+    corrected, first = [], 0
+    for own, count in zip(signatures, counts, strict=True):
+        weights = (step / scale**2)[first : first + count] / square
+        first += count
+        corrected.append(
+            {block: matrix + np.outer(missed[block], weights) for block, matrix in own.items()}
+        )
+    return corrected
 
 
 def names_of(problem: Problem, causes: Sequence[Cause]) -> Names:
@@ -180,22 +239,13 @@ def _width(cause: Cause, item: Parameter) -> float:
     return max(width, abs(cause.values[item.name] - item.neutral))
 
 
-def linearise(
-    problem: Problem,
-    now: Hypothesis,
-    names: Names,
-    workers: int = 1,
-    known: Sequence[Signature] = (),
-) -> Linear:
-    """Return the linear problem about a hypothesis."""
-    own = [*known, *_signatures(problem, now, workers, len(known))]
+def linearise(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]) -> Linear:
+    """Return the linear problem about a hypothesis with the signatures of its causes."""
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
-    together = side_by_side(own, counts)
+    together = side_by_side(signatures, counts)
     estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
     system, right = whitened_jointly(now.residuals, together, estimate)
-    orthogonal, triangle = np.linalg.qr(system)
-    spread = covariance(system, estimate)
-    return Linear(estimate.value, spread, triangle, orthogonal.T @ right)
+    return Linear(estimate.value, *reduced(system, right), system, estimate)
 
 
 def _signatures(

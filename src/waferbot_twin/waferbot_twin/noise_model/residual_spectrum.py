@@ -108,6 +108,11 @@ class Power:
     value: float
     freedom: float
 
+    @property
+    def as_if_known(self) -> Power:
+        """The same power, taken for the true one."""
+        return Power(self.value, math.inf)
+
     def log_likelihood_ratio(self, squares: float) -> float:
         """
         Return ln of the likelihood ratio of a change that lowers the sum of squares by so much.

@@ -8,9 +8,8 @@ sample to the residuals of the logs,
     r = (p - p_0) / s,        white noise of unit variance,                                       (1)
 
 so that its prior takes part in every fit, likelihood, gain and covariance as any reading does
-(mixed estimation: H. Theil, A. Goldberger, International Economic Review 2, 1961). If many of the
-parameters are further off than usual, the noise of these samples grows with them: their spread is
-that of this machine (empirical Bayes).
+(mixed estimation: H. Theil, A. Goldberger, International Economic Review 2, 1961). The variance is
+not estimated from them: of the three numbers of a slide two that are 8 % off would then be usual.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class PriorBlock:
         """Take the names of parameters; `record` is any of the logs, of which there is no need."""
         self.record = record
         self.channels = ['usual deviations']
-        self.noises = [Noise(1.0, 0)]
+        self.noises = [Noise(1.0, 0, known=True)]
         self._names = tuple(names)
 
     def times_s(self, channel: str) -> Array:

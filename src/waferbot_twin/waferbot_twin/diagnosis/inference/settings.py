@@ -43,7 +43,7 @@ class Settings:
     Raises `UserError` for a value out of its range.
     """
 
-    expected_causes: float = 0.3
+    expected_causes: float = 1.0
     prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03

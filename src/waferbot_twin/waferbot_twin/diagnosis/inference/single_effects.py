@@ -40,6 +40,7 @@ from scipy.stats import t as student
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.refit import refit, released, within_reach
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.screening import Screened
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes, names_of
@@ -48,6 +49,9 @@ from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
+
+ROUNDING = 1e-6
+"""Of a probability."""
 
 PASSES = 2
 """How often at most every effect is asked for anew."""
@@ -178,16 +182,67 @@ def infer(pool: CandidatePool) -> Posterior:
 def _ask_on(
     pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
 ) -> tuple[Hypothesis, list[SingleEffect], int]:
-    """Add effects as long as one is more probable than none; return how often was asked, too."""
+    """
+    Add effects as long as one is more probable than none; return how often was asked, too.
+
+    Where many things lack, each is hidden by what the others leave over: along most directions there is
+    so much that no single cause stands out of it. So what would be more probable than none if the power
+    along it were known is in the model for the time being, too; it stays if it is evident beside all
+    that was found by then.
+    """
     asked, effects = 0, list(effects)
-    while len(effects) < pool.settings.most_causes and asked < most:
+    tentative: list[SingleEffect] = []
+    while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
-        if effect is None or effect.inclusion < pool.settings.named_from:
+        if effect is not None and _included(effect, pool.settings):
+            best = effect.best
+            effects.append(effect)
+        elif effect is not None and (ahead := _ahead(pool.problem, found, effect)) is not None:
+            best = ahead
+            tentative.append(SingleEffect((ahead,), effect.none))
+        else:
             break
-        found = _fitted(pool.problem, effect.best.found.causes) or effect.best.found
-        effects.append(effect)
-    return found, effects, asked
+        found = _fitted(pool.problem, best.found.causes) or best.found
+    return *_evident(pool, found, effects, tentative), asked
+
+
+def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
+    """Return the most probable member if the power of the noise along each were known; None for none."""
+
+    def log_odds(member: Member) -> float:
+        more = gain(member.found, base, power_known=True) - gain(member.found, base)
+        return member.log_odds + more
+
+    best = max(effect.members, key=log_odds)
+    return best if log_odds(best) > 0.0 else None
+
+
+def _evident(
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: Sequence[SingleEffect],
+    tentative: Sequence[SingleEffect],
+) -> tuple[Hypothesis, list[SingleEffect]]:
+    """Return a hypothesis without those tentative effects that are not evident beside all others."""
+    problem, left = pool.problem, list(tentative)
+    while left:
+        odds = []
+        for effect in left:
+            base, _ = _without(problem, found, (), effect.best.cause.name)
+            more = _with_last(problem, found, effect.best.cause.name)
+            evidence = log_evidence(problem, more, base, pool.settings.prior_scales)
+            odds.append(evidence + effect.best.log_prior)
+        worst = int(np.argmin(odds))
+        if odds[worst] > 0.0:
+            break
+        found, _ = _without(problem, found, (), left.pop(worst).best.cause.name)
+    return found, [*effects, *left]
+
+
+def _included(effect: SingleEffect, settings: Settings) -> bool:
+    """Return whether an effect is there; where no log tells, odds are even but for rounding."""
+    return effect.inclusion > settings.named_from + ROUNDING
 
 
 def _without(
@@ -245,7 +300,8 @@ def _ask_again(
         changed = False
         for effect in list(effects):
             name = effect.best.cause.name
-            if most <= 0 or not _bent(pool, found, name):
+            settled = len(effect.members) > 1 and not _bent(pool, found, name)
+            if most <= 0 or settled:
                 continue
             most -= 1
             present = next(cause for cause in found.causes if cause.name == name)
@@ -256,7 +312,7 @@ def _ask_again(
                 continue
             place = next(number for number, one in enumerate(effects) if one is effect)
             rest = [*effects[:place], *effects[place + 1 :]]
-            if again.inclusion < pool.settings.named_from:
+            if not _included(again, pool.settings):
                 assert base is not None
                 found, effects, changed = base, rest, True
                 continue
@@ -324,8 +380,8 @@ def _ask(
 
 
 def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:
-    """Return what the linear problem finds more probable than none."""
-    return [item for item in screened if item.score + pool.log_prior(item.cause) > 0.0]
+    """Return what the linear problem finds more probable than none in noise of known power."""
+    return [item for item in screened if item.likelihood + pool.log_prior(item.cause) > 0.0]
 
 
 def _on_a_bound(problem: Problem, cause: Cause) -> bool:

@@ -32,7 +32,12 @@ from waferbot_twin.estimation.hypothesis import (
     whole_change,
 )
 from waferbot_twin.estimation.stacked_least_squares import by_channel, fit_jointly
-from waferbot_twin.noise_model.prediction_error import Colour, in_deviations, whitened
+from waferbot_twin.noise_model.prediction_error import (
+    Colour,
+    in_deviations,
+    log_likelihood_with,
+    whitened,
+)
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -332,5 +337,14 @@ def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
         block: np.vstack(_with_later(matrix, base.residuals[block]))
         for block, matrix in change.items()
     }
-    found = fit_jointly(problem, base.residuals, both, known=base.fits)
-    return 2.0 * (found.log_likelihood - sum(base.fits[b].log_likelihood for b in both))
+    found = fit_jointly(problem, base.residuals, both, 2, known=base.fits)
+    blocks = list(both)
+    before = [channel for block in blocks for channel in base.residuals[block]]
+    parts = [part for b in blocks for part in by_channel(both[b], base.residuals[b])]
+    left = [one + part @ found.value for one, part in zip(before, parts, strict=True)]
+    # Compared with the same noise models: `hypothesis.log_likelihood_ratio`.
+    colours = found.colours, _colours_of(base, change)
+    after, as_it_was = (
+        max(log_likelihood_with(one, channels) for one in colours) for channels in (left, before)
+    )
+    return 2.0 * (after - as_it_was)
