@@ -35,8 +35,8 @@ from waferbot_twin.residuals.problem import Cause, Problem
 
 NAME = 'nuisance_parameters'
 
-MOST = 0.9
-"""How far, as a share of its value, a parameter may be off at most."""
+MOST, SPREADS = 0.9, 10.0
+"""How far, as a share of its value and in its spread, a parameter may be off at most."""
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,9 @@ def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]
 
     def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(item.path, '', 0.0, item.spread, -MOST, MOST, item.words, spread=item.spread)
+            Parameter(item.path, '', 0.0, item.spread, -most, most, item.words, spread=item.spread)
             for item in known
+            for most in (min(MOST, SPREADS * item.spread),)
         )
 
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:

@@ -390,7 +390,7 @@ def _on_a_bound(problem: Problem, cause: Cause) -> bool:
         cause.values[item.name] in (item.low, item.high)
         and cause.values[item.name] != item.neutral
         for item in parameters_of(problem, cause)
-        if not item.shape
+        if not item.shape and item.spread == 0.0
     )
 
 
