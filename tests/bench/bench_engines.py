@@ -54,8 +54,8 @@ class Ping(Node):
         self.done = 0
         self.begun_s = 0.0
         self.ended_s = 0.0
-        self._wire = WireFormat(PhaseCurrents)
-        self._decode = WireFormat(PhaseVoltages).decode
+        self._wire = WireFormat('waferbot_msgs/msg/PhaseCurrents')
+        self._decode = WireFormat('waferbot_msgs/msg/PhaseVoltages').decode
         self._publisher = self.create_publisher(PhaseCurrents, 'ping', lockstep_qos())
         self.create_subscription(PhaseVoltages, 'pong', self._on_pong, lockstep_qos(), raw=True)
 
@@ -85,8 +85,8 @@ class Pong(Node):
 
     def __init__(self) -> None:
         super().__init__('pong')
-        self._wire = WireFormat(PhaseVoltages)
-        self._decode = WireFormat(PhaseCurrents).decode
+        self._wire = WireFormat('waferbot_msgs/msg/PhaseVoltages')
+        self._decode = WireFormat('waferbot_msgs/msg/PhaseCurrents').decode
         self._publisher = self.create_publisher(PhaseVoltages, 'pong', lockstep_qos())
         self.create_subscription(PhaseCurrents, 'ping', self._on_ping, lockstep_qos(), raw=True)
 
