@@ -27,6 +27,7 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
+            'composed = waferbot_twin.composed:main',
             'waferbot = waferbot_twin.cli:main',
         ],
     },

@@ -44,9 +44,11 @@ class CopleyNode(LockstepNode):
     def __init__(self, **node_options: Any) -> None:
         """Declare the settings of the driven axes and compile the current loop."""
         self._settings: dict[str, dict[str, Any]] = {}
-        super().__init__('copley', {}, (PHASE_VOLTAGES, AMPLIFIER_STATE), **node_options)
+        super().__init__('copley', {}, (), **node_options)
         names = self.declare_fixed('axes', list(AXES), 'the axes that this node drives')
         self._axes = _mask(names)
+        self.offer(PHASE_VOLTAGES, self._axes)
+        self.offer(AMPLIFIER_STATE, self._axes)
         self.need(PHASE_CURRENTS, self._axes)
         self.need(CURRENT_COMMAND, self._axes)
         self.need(ENCODERS_TOPIC, ALL_ENCODERS)
