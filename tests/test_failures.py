@@ -195,13 +195,13 @@ class ComposedTwin:
         from waferbot_lockstep.node import make_executor
         from waferbot_plant.node import PlantNode
         from waferbot_pmac.node import PmacNode
-        from waferbot_twin.engines.ros import _overrides
+        from waferbot_twin.engines.members import ros_parameters
         from waferbot_twin.models import load_model
 
         rclpy.init()
         model = load_model('rigid')
         self.nodes = [
-            kind(parameter_overrides=list(_overrides(model.parameters[name])))
+            kind(parameter_overrides=list(ros_parameters(model.parameters[name])))
             for name, kind in (('plant', PlantNode), ('pmac', PmacNode), ('copley', CopleyNode))
         ]
         self.rogue = Node('rogue')
@@ -295,6 +295,7 @@ def test_a_recorder_says_that_a_stranger_is_far_ahead(environment, domain, conne
     publisher = rogue.node.create_publisher(waferbot_msgs.msg.PhaseVoltages, topic.name, 50)
     rclpy.init()
     recorder = Recorder(None, Timing())
+    recorder.begin()
     executor = make_executor()
     executor.add_node(recorder)
 

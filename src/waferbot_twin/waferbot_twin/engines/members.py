@@ -153,7 +153,7 @@ class ComposedNodes(Members):
         self._nodes: dict[str, LockstepNode] = {
             name: classes[node](
                 exchange=exchange,
-                parameter_overrides=list(_overrides(parameters)),
+                parameter_overrides=list(ros_parameters(parameters)),
                 cli_args=['--ros-args', '--remap', f'__node:={name}'],
             )
             for name, (node, parameters) in nodes.items()
@@ -238,11 +238,11 @@ class Together(Members):
             part.end()
 
 
-def _overrides(parameters: Mapping[str, Any], prefix: str = '') -> Iterator[RosParameter]:
+def ros_parameters(parameters: Mapping[str, Any], prefix: str = '') -> Iterator[RosParameter]:
     """Yield nested parameters under their dotted names, as ROS reads them from a file."""
     for name, value in parameters.items():
         if isinstance(value, Mapping):
-            yield from _overrides(value, f'{prefix}{name}.')
+            yield from ros_parameters(value, f'{prefix}{name}.')
         else:
             yield RosParameter(f'{prefix}{name}', value=value)
 
