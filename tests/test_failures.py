@@ -45,7 +45,9 @@ def long_run(start, out, *arguments):
         return sum(file.stat().st_size for file in out.glob('*.mcap'))
 
     if '--engine' not in arguments:
-        program.find_children(5 if '--copley-per-axis' in arguments else 3)
+        composed = arguments[arguments.index('--compose') + 1] if '--compose' in arguments else ''
+        nodes = 5 if '--copley-per-axis' in arguments else 3
+        program.find_children(nodes - len(composed.split(',')) if composed else nodes)
     wait_until(lambda: bytes_recorded() > 60_000, 'ticks recorded', program)
     return program
 
@@ -81,11 +83,19 @@ MISSED = {
 }
 
 
-@pytest.mark.parametrize('victim', MISSED)
-def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path, victim):
+TWO, CHANNEL = ['--compose', 'plant,copley'], ['--delivery', 'channel']
+KILLED = [
+    *(('plant', []), ('pmac', []), ('copley', []), ('copley_x_rotate', ['--copley-per-axis'])),
+    *(('pmac', TWO), ('pmac', TWO + CHANNEL), ('plant', CHANNEL), ('copley', CHANNEL)),
+]
+
+
+@pytest.mark.parametrize(
+    ('victim', 'layout'), KILLED, ids=[' '.join([name, *layout]) for name, layout in KILLED]
+)
+def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path, victim, layout):
     out = tmp_path / 'run'
-    split = ['--copley-per-axis'] if victim.startswith('copley_') else []
-    program = long_run(start, out, *split)
+    program = long_run(start, out, *layout)
     nodes = dict(program.children)
     os.kill(nodes[victim], signal.SIGKILL)
     wait_until_gone(nodes.values())

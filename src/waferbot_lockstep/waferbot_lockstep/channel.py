@@ -38,6 +38,10 @@ LOOK_PERIOD_S = 0.05
 """Wall time between two looks for processes that have come or gone."""
 
 
+_Identity = tuple[int, int]
+"""Inode and time of making of a socket: an inode alone is used again when a socket is removed."""
+
+
 class Channel:
     """One process's end of a channel."""
 
@@ -66,7 +70,7 @@ class Channel:
             self._door.bind(os.fspath(self._path))
             self._door.listen(64)
             self._door.setblocking(False)
-            self._inode = self._path.stat().st_ino
+            self._mine = _identity(self._path.stat())
         except OSError as error:
             raise UserError(f'channel {folder} cannot be used: {error.strerror}') from error
 
@@ -107,10 +111,11 @@ class Channel:
         self._open_the_door()
         if self._names:
             for entry in os.scandir(self._path.parent):
-                inode = entry.inode()
-                if inode != self._inode and self._tried.get(entry.name) != inode:
-                    self._connect(entry.path)
-                    self._tried[entry.name] = inode
+                with contextlib.suppress(FileNotFoundError):
+                    identity = _identity(entry.stat())
+                    if identity not in (self._mine, self._tried.get(entry.name)):
+                        self._tried[entry.name] = identity
+                        self._connect(entry.path)
 
     def _open_the_door(self) -> None:
         """Let in who has come, and note what they want."""
@@ -147,10 +152,15 @@ class Channel:
     def close(self) -> None:
         """End all connections, and take the socket out of the folder."""
         with contextlib.suppress(OSError):
-            self._path.unlink()
+            if _identity(self._path.stat()) == self._mine:
+                self._path.unlink()
         listeners = {peer for entries in self._listeners.values() for peer, _ in entries}
         for one in (self._door, *self._unasked, *self._sources.values(), *listeners):
             one.close()
+
+
+def _identity(status: os.stat_result) -> _Identity:
+    return status.st_ino, status.st_mtime_ns
 
 
 def _new_socket() -> socket.socket:
