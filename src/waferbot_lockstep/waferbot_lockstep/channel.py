@@ -54,9 +54,7 @@ class Channel:
                 'choose a folder nearer to the root'
             )
         self._names: list[str] = []  # that this process wants, in the order asked for
-        self._tried: dict[
-            str, int
-        ] = {}  # by socket in the folder, the inode that was connected to
+        self._tried: dict[str, _Identity] = {}  # sockets that were connected to, by name
         self._sources: dict[int, socket.socket] = {}  # by file number
         self._poll = select.poll()
         self._unasked: list[socket.socket] = []  # connected to us, and silent so far

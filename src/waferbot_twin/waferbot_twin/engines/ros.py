@@ -111,7 +111,6 @@ def run(
         )
         stack.callback(members.end)
         recorder.begin()
-        recorder.begin()
         try:
             loop_s = _Conductor(
                 plan, recorder, members, interrupt, progress, options.startup_timeout_s
