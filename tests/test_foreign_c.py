@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import Program, domain_of, run_engine
+from harness import Program, domain_of, run_engine, waferbot
 
 from waferbot_lockstep.contract import AXES, LOCKSTEP_TOPICS
 from waferbot_pmac.i_variables import servo_parameters
@@ -100,3 +101,13 @@ def test_a_pmac_in_c_gives_the_same_bits_as_ours(pmac, tmp_path, start, layout):
         np.testing.assert_array_equal(one[topic], other[topic], err_msg=topic.name)
     assert len(one['current_command']) == 4500
     assert [name for name in differing_signals(one, other) if 'servo_state' not in name] == []
+
+
+@pytest.mark.slow
+def test_the_conformance_kit_finds_nothing_wrong_with_it(pmac):
+    result = waferbot('conform', '--node', 'pmac', '--json', str(pmac), *arguments())
+    assert result.returncode == 0, result.stdout + result.stderr
+    grades = {one['check']: one['grade'] for one in json.loads(result.stdout)}
+    forgiving = {'stale message', 'missing message', 'contradicting message', 'silence'}
+    assert {check for check, grade in grades.items() if grade == 'tolerated'} == forgiving
+    assert set(grades.values()) == {'right', 'tolerated'}
