@@ -308,9 +308,13 @@ class LockstepNode(Node):
         if self.timekeeping == REALTIME:
             push = self._real_time_input(topic, mask)
         else:
-            inbox = self.inboxes[topic] = Inbox(topic, self.timing, mask)
+            inbox = self.inboxes[topic] = self.lockstep_input(topic, mask)
             push = inbox.push
         self._inlets[topic] = WireFormat(topic.type_name), push
+
+    def lockstep_input(self, topic: Topic, mask: int) -> Any:
+        """Return the input of a topic in lock-step."""
+        return Inbox(topic, self.timing, mask)
 
     def _open_inlet(self, topic: Topic) -> None:
         wire, push = self._inlets[topic]
@@ -417,7 +421,7 @@ class LockstepNode(Node):
                     self._last_heard_s[key] = now_s
                 elif key not in self._last_heard_s:
                     self._check_startup(inbox, now_s)
-                elif self.timekeeping == LOCKSTEP:
+                elif isinstance(inbox, Inbox):
                     self._check_silence(inbox, place, now_s - self._last_heard_s[key])
                 if self.outcome is not None:
                     return

@@ -24,6 +24,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from waferbot_copley.node_settings import POLICIES
 from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.settings import load_settings
@@ -73,6 +74,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='do not start this node (plant, pmac, copley, copley_<axis>): yours takes its place',
     )  # fmt: skip
     parser.add_argument(
+        '--device-clock', choices=POLICIES,
+        help='the controller is the clock: each current command lets one servo cycle pass, whenever it '
+        'comes. If none comes: time stands (hold), current goes to zero (ramp), an error (fault)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--device-timeout', type=float, default=1.0, metavar='S',
+        help='wall time to wait for such a command (default 1)',
+    )  # fmt: skip
+    parser.add_argument(
         '--startup-timeout', type=float, default=60.0, metavar='S',
         help='wall time to wait for all nodes, yours as well (default 60)',
     )  # fmt: skip
@@ -90,6 +100,10 @@ def execute(options: argparse.Namespace) -> int:
     if not 0.0 < options.startup_timeout <= 3600.0:
         raise UserError(
             f'--startup-timeout is {options.startup_timeout:g} s; it must be above 0 and at most 3600'
+        )
+    if not 0.05 <= options.device_timeout <= 3600.0:
+        raise UserError(
+            f'--device-timeout is {options.device_timeout:g} s; it must be from 0.05 to 3600'
         )
     if options.compose and options.engine != 'ros':
         raise UserError(
@@ -162,6 +176,8 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         composed=options.engine == 'composed',
         compose=options.compose,
         delivery=options.delivery,
+        device_clock=options.device_clock or '',
+        device_timeout_s=options.device_timeout,
         one_copley_per_axis=options.copley_per_axis,
         without=tuple(options.without),
         startup_timeout_s=options.startup_timeout,

@@ -52,6 +52,8 @@ class RosOptions:
     compose: Sequence[str] = ()
     delivery: str = DIRECT
     one_copley_per_axis: bool = False
+    device_clock: str = ''  # policy, if commands are the clock: hold, ramp or fault
+    device_timeout_s: float = 1.0
     without: Sequence[str] = ()  # nodes that somebody else provides
     start_order: Sequence[str] = ()  # names of the processes, in the order to start them
     startup_timeout_s: float = STARTUP_TIMEOUT_S
@@ -76,6 +78,11 @@ def layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, NodeLayout]]:
         'pmac': {'experiment': plan.experiment.text},
         'copley': {},
     }
+    if options.device_clock:
+        extra['copley'] = {
+            'device_clock': options.device_clock,
+            'device_timeout_s': options.device_timeout_s,
+        }
     for node, own in extra.items():
         if node in options.without:
             continue

@@ -21,7 +21,9 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import SetBool
 
+from waferbot_copley.node_settings import RAMP
 from waferbot_lockstep.channel import Channel
+from waferbot_lockstep.contract import CURRENT_COMMAND, Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.interrupt import Interrupt
@@ -100,7 +102,7 @@ def run(
         recorder = Recorder(
             writer,
             plan.timing,
-            reported(options.without),
+            {**reported(options.without), **_commands_needed(options)},
             clock_needed='plant' not in options.without,
             exchange=None if options.delivery == TOPICS else exchange,
         )
@@ -119,6 +121,11 @@ def run(
             raise recorder.failures.with_this(error) from None
         failure = recorder.failures.reason()
         return Outcome(close_complete(writer, recorder.account, plan.ticks, failure), loop_s)
+
+
+def _commands_needed(options: RosOptions) -> dict[Topic, int]:
+    """Return that no command is missed where current goes to zero without any."""
+    return {CURRENT_COMMAND: 0} if options.device_clock == RAMP else {}
 
 
 def _split(plan: Plan, options: RosOptions) -> tuple[dict[str, NodeLayout], dict[str, NodeLayout]]:
