@@ -29,6 +29,7 @@ from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import FAREWELL_S, SIGN_OF_LIFE_PERIOD_S, make_executor
 from waferbot_lockstep.ros_logs import ensure_log_folder
+from waferbot_lockstep.transport import DISCOVERY, PROFILES, choose_transport
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.engines.layout import (
     CHANNEL,
@@ -254,13 +255,10 @@ class _Conductor:
 @contextlib.contextmanager
 def ros_environment(domain: int, any_host: bool) -> Iterator[None]:
     """Set what decides whom ROS talks to, for this process and its children; restore it after."""
-    # Discovery stays on this machine unless the user asks for more.
-    wanted = {
-        'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET' if any_host else 'LOCALHOST',
-    }
-    before = {name: os.environ.get(name) for name in wanted}
+    wanted = {'ROS_DOMAIN_ID': str(domain), DISCOVERY: 'SUBNET' if any_host else 'LOCALHOST'}
+    before = {name: os.environ.get(name) for name in (*wanted, PROFILES)}
     os.environ.update(wanted)
+    choose_transport([])
     try:
         yield
     finally:
