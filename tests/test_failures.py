@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import (
     PATIENCE_S,
     children_of,
@@ -405,6 +406,7 @@ def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
     heard = []
     client.node.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, heard.append, 50)
     publisher = client.node.create_publisher(waferbot_msgs.msg.Stop, STOP_TOPIC, 50)
+    client.node.create_publisher(waferbot_msgs.msg.CurrentCommand, 'current_command', 50)
     plant = start_node(start, 'plant', domain)
     client.spin_until(
         lambda: (
@@ -415,11 +417,35 @@ def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
     )
     time.sleep(0.5)  # the other ends know of each other, too
     publisher.publish(
-        waferbot_msgs.msg.Stop(tick=7, node='/pmac', reason='interrupted by the user')
+        waferbot_msgs.msg.Stop(tick=7, node='/test_client', reason='interrupted by the user')
     )
     client.spin_until(lambda: len(heard) >= 3, 'the stop, its own once and those of the plant')
-    assert {(stop.node, stop.tick) for stop in heard} == {('/pmac', 7)}
+    assert {(stop.node, stop.tick) for stop in heard} == {('/test_client', 7)}
     assert plant.wait(20) == 0, plant.output
+
+
+@pytest.mark.alone  # its stranger is still there when the run has given its domain back
+def test_a_stop_of_a_stranger_is_passed_over_and_said(start, connect, tmp_path):
+    program = long_run(start, tmp_path / 'run')
+    client = connect(domain_of(program))
+    publisher = client.node.create_publisher(waferbot_msgs.msg.Stop, STOP_TOPIC, 50)
+    diagnostics = []
+    client.node.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda array: diagnostics.extend(array.status), 50
+    )
+    client.spin_until(lambda: publisher.get_subscription_count() >= 4, 'all who hear stops')
+    publisher.publish(waferbot_msgs.msg.Stop(tick=7, node='/stranger', reason='because I say so'))
+    told = 'passed over a stop of /stranger, which takes no part in this twin: because I say so'
+    client.spin_until(lambda: program.output.count(told) == 4, 'four warnings', 20.0)
+    client.spin_until(
+        lambda: sum('strangers have asked' in status.message for status in diagnostics) >= 3,
+        'diagnostics',
+        20.0,
+    )
+    assert program.process.poll() is None
+    program.signal(signal.SIGINT)
+    assert program.wait(20) == 130
+    assert check_readable(tmp_path / 'run').summary['reason'] == 'interrupted by the user'
 
 
 def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, recorded, tmp_path):

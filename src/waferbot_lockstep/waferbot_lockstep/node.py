@@ -58,6 +58,7 @@ from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
+from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.transport import choose_transport
 from waferbot_lockstep.wire import WireFormat
@@ -175,6 +176,7 @@ class LockstepNode(Node):
         self.create_subscription(
             waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
         )
+        self._stops = Stops(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._begun_s = 0.0
         self._noticed_s = 0.0
@@ -384,7 +386,12 @@ class LockstepNode(Node):
         return push
 
     def _on_stop(self, stop: Any) -> None:
-        if self.outcome is not None or stop.node == self.get_fully_qualified_name():
+        if self.outcome is None and stop.node != self.get_fully_qualified_name():
+            self._follow(self._stops.heard(stop))
+
+    def _follow(self, stop: Any) -> None:
+        """End with a peer that has stopped, if there is one."""
+        if stop is None or self.outcome is not None:
             return
         if self.timekeeping == REALTIME:
             self.get_logger().warning(
@@ -406,6 +413,7 @@ class LockstepNode(Node):
         if self._progress == self._seen_progress:
             self._repeat()
         self._seen_progress = self._progress
+        self._follow(self._stops.look_around())
         now_s = time.monotonic()
         self._watch_peers(now_s)
         self.watch(now_s)
@@ -489,6 +497,9 @@ class LockstepNode(Node):
                 troubles.extend(self._arrival_troubles(topic, inbox, now_s))
                 self._told[topic] = inbox.arrivals.received, inbox.arrivals.trouble
         values.update(own_values)
+        if self._stops.ignored:
+            values['stops of strangers'] = str(self._stops.ignored)
+            troubles.append((DiagnosticStatus.WARN, 'strangers have asked the twin to stop'))
         if self.outcome:
             troubles.insert(0, (DiagnosticStatus.ERROR, self.outcome))
         status = DiagnosticStatus(

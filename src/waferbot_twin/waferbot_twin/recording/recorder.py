@@ -43,6 +43,7 @@ from waferbot_lockstep.standard_messages import (
     ROBOT_DESCRIPTION,
     stamp_of,
 )
+from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.failures import Failures
@@ -91,6 +92,7 @@ class Recorder(Node):
         self.stop_reason = ''
         self.failure = ''
         self.failures = Failures(timing)
+        self._stops = Stops(self)
         self._writer = writer
         self._timing = timing
         self._recorded_publisher = self.create_publisher(
@@ -98,7 +100,7 @@ class Recorder(Node):
         )
         self.create_timer(
             SIGN_OF_LIFE_PERIOD_S,
-            self._announce,
+            self._on_sign_of_life,
             clock=WallClock(clock_type=ClockType.STEADY_TIME),
         )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
@@ -210,6 +212,10 @@ class Recorder(Node):
 
         return on_message
 
+    def _on_sign_of_life(self) -> None:
+        self._note_stop(self._stops.look_around())
+        self._announce()
+
     def _announce(self) -> None:
         """Tell the plant how far the recording has come."""
         tick = self.account.reached()
@@ -219,5 +225,8 @@ class Recorder(Node):
         self._recorded_publisher.publish(message)
 
     def _on_stop(self, stop: Any) -> None:
-        if not self.stop_reason:
+        self._note_stop(self._stops.heard(stop))
+
+    def _note_stop(self, stop: Any) -> None:
+        if stop is not None and not self.stop_reason:
             self.stop_reason = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'
