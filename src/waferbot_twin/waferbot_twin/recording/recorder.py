@@ -32,6 +32,7 @@ from waferbot_lockstep.contract import (
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.node import (
+    INTERRUPTED,
     SIGN_OF_LIFE_PERIOD_S,
     latched_qos,
     lockstep_qos,
@@ -65,7 +66,8 @@ class Recorder(Node):
     Records a twin.
 
     `account` knows what has been recorded; `tick` is the newest tick seen; `stop_reason` is what a
-    node that left the lock-step said; `failures` tells which axes are not driven any more.
+    node that left the lock-step said, `interrupted` whether because the user had it so; `failures`
+    tells which axes are not driven any more.
     """
 
     def __init__(
@@ -90,6 +92,7 @@ class Recorder(Node):
         self._clock_needed = clock_needed
         self.tick = -1
         self.stop_reason = ''
+        self.interrupted = False
         self.failure = ''
         self.failures = Failures(timing)
         self._stops = Stops(self)
@@ -229,4 +232,5 @@ class Recorder(Node):
 
     def _note_stop(self, stop: Any) -> None:
         if stop is not None and not self.stop_reason:
+            self.interrupted = stop.reason == INTERRUPTED
             self.stop_reason = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'
