@@ -127,6 +127,23 @@ def test_a_stranger_who_connects_and_says_nothing_or_nonsense_is_harmless(channe
         stranger.close()
 
 
+def test_a_socket_has_its_name_only_when_it_can_be_connected_to(channel, tmp_path, monkeypatch):
+    """Whoever connected before was refused, and never tried again."""
+
+    class Slow(socket.socket):
+        def listen(self, backlog):
+            listener.look_around()
+            assert not (tmp_path / 'c' / 'plant').exists()
+            super().listen(backlog)
+
+    listener = channel('pmac', '/a')
+    monkeypatch.setattr(socket, 'socket', Slow)
+    speaker = channel('plant')
+    connect(listener, speaker)
+    speaker.send('/a', b'1')
+    assert received(listener, 1) == [('/a', b'1')]
+
+
 def test_only_the_owner_may_look_into_the_folder(channel, tmp_path):
     channel('plant')
     assert stat.S_IMODE(os.stat(tmp_path / 'c').st_mode) == 0o700

@@ -29,6 +29,9 @@ from waferbot_lockstep.errors import UserError
 LONGEST_PATH = 100
 """Bytes that the path of a Unix socket may have (Linux: 108 with the closing zero)."""
 
+HIDDEN = '.'
+"""How the name of a socket begins that nobody can connect to yet."""
+
 LONGEST_MESSAGE = 1 << 16
 
 STUCK_S = 5
@@ -62,12 +65,14 @@ class Channel:
         self._looked_s = 0.0
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):
-                self._path.unlink()
+            # It has its name from the moment on at which it can be connected to.
+            hidden = folder / f'{HIDDEN}{name}'
+            hidden.unlink(missing_ok=True)
             self._door = _new_socket()
-            self._door.bind(os.fspath(self._path))
+            self._door.bind(os.fspath(hidden))
             self._door.listen(64)
             self._door.setblocking(False)
+            hidden.rename(self._path)
             self._mine = _identity(self._path.stat())
         except OSError as error:
             raise UserError(f'channel {folder} cannot be used: {error.strerror}') from error
@@ -109,6 +114,8 @@ class Channel:
         self._open_the_door()
         if self._names:
             for entry in os.scandir(self._path.parent):
+                if entry.name.startswith(HIDDEN):
+                    continue
                 with contextlib.suppress(FileNotFoundError):
                     identity = _identity(entry.stat())
                     if identity not in (self._mine, self._tried.get(entry.name)):
