@@ -172,7 +172,10 @@ def on_terminal(*arguments):
 
 def test_a_progress_bar_is_drawn_on_a_terminal_only():
     # With start-up this takes longer than the two seconds after which a bar appears.
-    arguments = ('run', '--engine', 'composed', '--duration', '2', '--experiment', 'constant')
+    arguments = (
+        *('run', '--engine', 'composed', '--delivery', 'topics', '--duration', '4'),
+        *('--experiment', 'constant'),
+    )
     code, drawn = on_terminal(*arguments)
     assert code == 0
     assert 'constant on rigid' in drawn

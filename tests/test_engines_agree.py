@@ -6,10 +6,13 @@ from __future__ import annotations
 import random
 
 import pytest
-from harness import run_engine
+from harness import parameter_files, run_engine
 from mcap.stream_reader import StreamReader
+from std_srvs.srv import SetBool
 
+from waferbot_lockstep.contract import ENCODERS_TOPIC, LOCKSTEP_TOPICS, PHASE_VOLTAGES
 from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.models import model_names
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import recording_file
@@ -52,6 +55,93 @@ def test_standard_messages_are_the_same_bytes(recorded, engine):
     assert stamp == 0
     assert b'<robot name="waferbot">' in description
     assert one == other
+
+
+LAYOUTS = {
+    'composed, all by topics': {'compose': ['plant', 'pmac', 'copley'], 'delivery': 'topics'},
+    'plant and copley composed': {'compose': ['plant', 'copley']},
+    'pmac composed': {'compose': ['pmac']},
+    'plant and copley composed, channel': {
+        'compose': ['plant', 'copley'],
+        'delivery': 'channel',
+    },
+    'three processes, channel': {'delivery': 'channel'},
+    'two amplifiers composed': {
+        'one_copley_per_axis': True,
+        'compose': ['copley_x_rotate', 'copley_y_rotate'],
+        'duration_s': 0.1,
+    },
+    'plant and one amplifier composed, channel': {
+        'one_copley_per_axis': True,
+        'compose': ['plant', 'copley_x_rotate'],
+        'delivery': 'channel',
+    },
+}
+"""Ways to lay the twin out over processes, and to deliver its messages (options of the ROS engine)."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('options', LAYOUTS.values(), ids=LAYOUTS)
+def test_every_layout_and_delivery_is_bit_identical(recorded, tmp_path, options):
+    one, other = run_engine('ros', tmp_path / 'run', **options), recorded('inprocess')
+    ticks = len(one['phase_currents'])
+    assert ticks == Timing().ticks(options.get('duration_s', 0.5))
+    assert one.summary['complete'] == 'true'
+    if ticks == len(other['phase_currents']):
+        assert differing_signals(one, other) == []
+        assert standard_messages(one) == standard_messages(other)
+    else:
+        for topic in ('encoders', 'phase_currents', 'current_command', 'servo_state'):
+            assert one[topic].tobytes() == other[topic][: len(one[topic])].tobytes()
+
+
+PROCESSES = {
+    'one process': [['plant', 'pmac', 'copley']],
+    'plant and copley in one': [['plant', 'copley'], ['pmac']],
+    'channel': [['plant', 'copley'], ['pmac'], ['channel']],
+    'three processes, channel': [['plant'], ['copley'], ['pmac'], ['channel']],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('processes', PROCESSES.values(), ids=PROCESSES)
+def test_every_message_is_on_its_topic_in_any_delivery(
+    tmp_path, start, connect, domain, processes
+):
+    """Somebody who knows only ROS gets all of it, while nodes started by hand deliver otherwise."""
+    import waferbot_msgs.msg
+
+    ticks = 800  # fewer messages than the history of a topic holds
+    client = connect(domain)
+    heard = {topic: {} for topic in LOCKSTEP_TOPICS}
+    for topic in LOCKSTEP_TOPICS:
+        decode = WireFormat(topic.type_name).decode
+
+        def take(data, own=heard[topic], decode=decode):
+            tick, _, _, values = decode(data)
+            own[tick] = values
+
+        kind = getattr(waferbot_msgs.msg, topic.message)
+        client.node.create_subscription(kind, topic.name, take, 1024, raw=True)
+    channel = ['--channel', str(tmp_path / 'channel')] if ['channel'] in processes else []
+    for nodes in processes:
+        if nodes != ['channel']:
+            start(
+                'waferbot_twin.composed', *nodes, *channel, '--ros-args', *parameter_files(''),
+                '-p', f'end_tick:={ticks}', '-p', 'plant:start_paused:=true',
+                '-p', 'pmac:experiment:=step',
+                ROS_DOMAIN_ID=str(domain),
+            )  # fmt: skip
+    client.spin_until(lambda: all(heard.values()), 'every topic at tick 0', 40.0)
+    client.call(SetBool, '/plant/pause', SetBool.Request(data=False))
+    for topic, own in heard.items():
+        count = Timing().messages(ticks, topic.ticks_between(Timing()))
+        client.spin_until(lambda own=own, count=count: len(own) >= count, f'all of {topic.name}')
+    same = run_engine('inprocess', tmp_path / 'same', duration_s=ticks / 18000)
+    counts = same[ENCODERS_TOPIC]['counts'].tolist()
+    assert [list(heard[ENCODERS_TOPIC][tick]) for tick in range(0, ticks, 2)] == counts
+    volts = [[*row['voltage'].ravel().tolist(), int(row['open'])] for row in same[PHASE_VOLTAGES]]
+    assert [list(heard[PHASE_VOLTAGES][tick]) for tick in range(ticks)] == volts
 
 
 @pytest.mark.slow

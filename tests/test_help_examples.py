@@ -21,7 +21,13 @@ LONG = tuple(
     example
     for example in ALL
     if example.startswith(
-        ('waferbot demo', 'waferbot diagnose', 'waferbot suggest', 'waferbot calibrate --quick')
+        (
+            'waferbot demo',
+            'waferbot diagnose',
+            'waferbot suggest',
+            'waferbot calibrate --quick',
+            'waferbot conform',
+        )
     )
 )
 """Minutes each; their arguments are parsed, other tests run these commands on less."""

@@ -83,15 +83,19 @@ def environment_of(pid):
     return dict(entry.split('=', 1) for entry in data.split('\0') if '=' in entry)
 
 
-@pytest.mark.parametrize(('option', 'expected'), [([], 'LOCALHOST'), (['--any-host'], 'SUBNET')])
-def test_discovery_stays_on_localhost_unless_asked(start, option, expected):
+@pytest.mark.parametrize('option', [[], ['--any-host']])
+def test_sockets_are_open_to_this_machine_only_unless_asked(start, option):
     program = start('waferbot_twin', 'run', '--duration', '1000', *option)
     nodes = program.find_children(3)
     domain = domain_of(program)
     for pid in nodes.values():
         environment = environment_of(pid)
-        assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == expected
         assert environment['ROS_DOMAIN_ID'] == str(domain)
+        if option:
+            assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SUBNET'
+        wait_until(lambda pid=pid: len(udp_sockets_of(pid)) >= 2, 'sockets', program)
+        addresses = {address for address, _ in udp_sockets_of(pid)}
+        assert (addresses == {'127.0.0.1'}) == (not option), addresses
 
 
 @pytest.mark.parametrize('asked', [{}, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}])

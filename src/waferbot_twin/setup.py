@@ -27,6 +27,8 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
+            'composed = waferbot_twin.composed:main',
+            'recorder = waferbot_twin.record:main',
             'waferbot = waferbot_twin.cli:main',
         ],
     },

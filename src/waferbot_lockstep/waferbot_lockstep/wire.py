@@ -29,7 +29,9 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
+_PLAIN = LITTLE_ENDIAN[:2]
 _FRAME_ID_LENGTH = 1  # of an empty string: only its closing zero
+_PADDING = 4  # bytes that Fast DDS may fill up the end to
 
 # name in a message definition: (struct code, NumPy name)
 _SCALARS = {
@@ -99,17 +101,19 @@ class WireFormat:
 
         Raises `UserError` if the bytes are no message of this type.
         """
-        if not self.is_plain(data):
+        if not self.size <= len(data) < self.size + _PADDING:
             return self._decode_slowly(data)
         fields = self._struct.unpack_from(data)
+        if fields[3] != _FRAME_ID_LENGTH or fields[0][:2] != _PLAIN:
+            return self._decode_slowly(data)
         stamp_ns = fields[1] * NANOSECONDS_PER_SECOND + fields[2]
         return fields[5], stamp_ns, fields[6], fields[7:]
 
     def is_plain(self, data: bytes) -> bool:
         """Tell whether the bytes have the fixed layout (Fast DDS may pad the end to four bytes)."""
         return (
-            self.size <= len(data) < self.size + 4
-            and data[:2] == LITTLE_ENDIAN[:2]
+            self.size <= len(data) < self.size + _PADDING
+            and data[:2] == _PLAIN
             and data[12:16] == b'\x01\x00\x00\x00'
         )
 

@@ -25,6 +25,7 @@ from typing import Any
 
 import yaml
 
+from waferbot_copley.node_settings import COPLEY_PARAMETERS
 from waferbot_copley.settings import settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
@@ -46,7 +47,7 @@ NODES = ('plant', 'pmac', 'copley')
 _OF_NODE: dict[str, tuple[str, ...]] = {
     'plant': PLANT_PARAMETERS,
     'pmac': ('experiment',),
-    'copley': ('axes',),
+    'copley': COPLEY_PARAMETERS,
 }
 _OF_AXIS: dict[str, Callable[[str], Iterable[Parameter]]] = {
     'pmac': axis_parameters,

@@ -29,6 +29,7 @@ from waferbot_twin.workers import remove_shared_memory_of_the_dead
 COMMANDS = {
     'run': 'run',
     'replay': 'replay',
+    'conform': 'conform',
     'info': 'info',
     'plot': 'plot',
     'view': 'view',

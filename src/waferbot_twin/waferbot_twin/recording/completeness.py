@@ -106,10 +106,15 @@ class Account:
         )
 
     def missing(self, ticks: int) -> dict[str, int]:
-        """Return, per topic, how many messages of the run's `ticks` ticks lack (places counted)."""
+        """
+        Return, per topic, how many messages of the run's `ticks` ticks lack (places counted).
+
+        A place that is beyond that already must have been given up to where it is.
+        """
         return {
             topic.name: sum(
-                self.timing.messages(ticks, own.spacing) - own.given[place]
+                self.timing.messages(max(ticks, own.last[place] + 1), own.spacing)
+                - own.given[place]
                 for place in own.needed_places()
             )
             for topic, own in self.topics.items()

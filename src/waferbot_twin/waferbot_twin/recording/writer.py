@@ -2,9 +2,11 @@
 """
 Writes a recording: a folder with `metadata.yaml` and one `.mcap`, as `ros2 bag` does.
 
-Messages go to the file in chunks of a quarter of a megabyte, which are flushed as they are made, so
-that a run that is killed loses only its last moments. What the run was made from (model, experiment,
-parameters, seed, versions) is attached at the beginning, before the first message.
+Messages go to the file in chunks of some thousand, which are flushed as they are made, so that a run
+that is killed loses only its last moments. A thread of its own makes them: whoever writes a message
+only puts it aside, and does not wait for compression or the disk unless they are far behind. What the
+run was made from (model, experiment, parameters, seed, versions) is attached at the beginning, before
+the first message.
 """
 
 from __future__ import annotations
@@ -12,22 +14,28 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import queue
+import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.recording.mcap_file import McapFile, Message
 
-CHUNK_BYTES = 1 << 18
-FLUSH_MESSAGES = 1000
+CHUNK_MESSAGES = 2048
+"""About a quarter of a megabyte, and 0.04 s of a run."""
+
+WAITING_CHUNKS = 8
+"""How many chunks may wait for the disk; then so does whoever writes."""
+
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
 
 
@@ -56,41 +64,38 @@ class RecordingWriter:
 
     def _begin(self, attachments: Mapping[str, str]) -> None:
         """Open the file and write all that comes before the first message."""
-        self.message_count = 0
-        self._first_ns = 2**63 - 1
-        self._last_ns = 0
         self._topics: dict[str, dict[str, Any]] = {}
         self._channels: dict[str, int] = {}
-        self._counts: dict[str, int] = {}
+        self._messages: list[Message] = []
         with self._told():
             self._file = (self._output.folder / self._file_name).open('xb')
-            self._writer = Writer(
-                self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-            )
-            self._writer.start('ros2', 'waferbot')
+            self._mcap = McapFile(self._file, 'ros2', 'waferbot')
             for name, text in attachments.items():
                 media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
-                self._writer.add_attachment(0, 0, name, media_type, text.encode())
+                self._mcap.add_attachment(name, media_type, text.encode())
             self._file.flush()
-            self._begun_bytes = self._whole_bytes = self._file.tell()
+            self._begun_bytes = self._file.tell()
             self._write_metadata()
+        self._chunks = ChunkThread(self._mcap, self._begun_bytes)
+
+    @property
+    def message_count(self) -> int:
+        """How many messages are in the file."""
+        return self._mcap.message_count
 
     def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
         qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
-        definition = full_text(type_name)
         digest = type_hash(type_name)
-        schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
-        self._channels[name] = self._writer.register_channel(
+        self._channels[name] = self._mcap.add_channel(
             name,
-            'cdr',
-            schema,
+            type_name,
+            full_text(type_name),
             {
                 'offered_qos_profiles': yaml.safe_dump(qos, sort_keys=False),
                 'topic_type_hash': digest,
             },
         )
-        self._counts[name] = 0
         self._topics[name] = {
             'name': name,
             'type': type_name,
@@ -100,33 +105,35 @@ class RecordingWriter:
         }
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Append one message, in CDR, at a sim time; messages of one topic come in order."""
-        count = self._counts[topic]
-        try:
-            self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
-            self._counts[topic] = count + 1
-            self.message_count += 1
-            if self.message_count % FLUSH_MESSAGES == 0:
-                self._file.flush()
-                self._whole_bytes = self._file.tell()
-        except OSError as error:
-            raise self._trouble(error) from error
-        self._first_ns = min(self._first_ns, stamp_ns)
-        self._last_ns = max(self._last_ns, stamp_ns)
+        """
+        Append one message, in CDR, at a sim time; messages of one topic come in order.
+
+        Raises `UserError` if one of those before could not be written.
+        """
+        self._messages.append((self._channels[topic], stamp_ns, data))
+        if len(self._messages) >= CHUNK_MESSAGES:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        messages, self._messages = self._messages, []
+        with self._told():
+            self._chunks.add(messages)
 
     def close(self, summary: Mapping[str, str]) -> None:
         """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
         if self._file.closed:
             return
         with self._told():
-            self._writer.add_metadata('waferbot', dict(summary))
-            self._writer.add_metadata(
+            self._hand_over()
+            self._chunks.finish()
+            self._mcap.add_metadata('waferbot', dict(summary))
+            self._mcap.add_metadata(
                 'rosbag2',
                 {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
             )
-            self._writer.finish()
+            self._mcap.finish()
             atomic_files.flush_to_disk(self._file)
-            self._whole_bytes = self._file.tell()
+            self._chunks.whole_bytes = self._file.tell()
             self._file.close()
             self._write_metadata()
 
@@ -149,7 +156,7 @@ class RecordingWriter:
         else:
             mine = False
         self._output.worth_keeping = (
-            self.message_count > 0 and self._whole_bytes > self._begun_bytes
+            self.message_count > 0 and self._chunks.whole_bytes > self._begun_bytes
         )
         self._output.__exit__(kind, error, traceback)
         if mine and error is not None:
@@ -157,10 +164,11 @@ class RecordingWriter:
 
     def _cut_off(self) -> None:
         """Cut the file behind the last whole record that is in it, as the disk is full."""
+        self._chunks.abandon()
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError):
-            os.truncate(self._output.folder / self._file_name, self._whole_bytes)
+            os.truncate(self._output.folder / self._file_name, self._chunks.whole_bytes)
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
@@ -174,10 +182,10 @@ class RecordingWriter:
         return UserError(f'{self.path} cannot be written: {error.strerror or error}')
 
     def _information(self) -> dict[str, Any]:
-        start = self._first_ns if self.message_count else 0
+        mcap = self._mcap
         span = {
-            'starting_time': {'nanoseconds_since_epoch': start},
-            'duration': {'nanoseconds': max(0, self._last_ns - start)},
+            'starting_time': {'nanoseconds_since_epoch': mcap.first_ns},
+            'duration': {'nanoseconds': mcap.last_ns - mcap.first_ns},
             'message_count': self.message_count,
         }
         return {
@@ -185,7 +193,7 @@ class RecordingWriter:
             'storage_identifier': 'mcap',
             **span,
             'topics_with_message_count': [
-                {'topic_metadata': topic, 'message_count': self._counts[name]}
+                {'topic_metadata': topic, 'message_count': mcap.counts[self._channels[name]]}
                 for name, topic in self._topics.items()
             ],
             'compression_format': '',
@@ -202,6 +210,52 @@ class RecordingWriter:
             {'rosbag2_bagfile_information': self._information()}, sort_keys=False
         )
         atomic_files.write_text(self._output.folder / 'metadata.yaml', text)
+
+
+class ChunkThread:
+    """
+    Writes chunks of messages to a file, one after another, behind the back of whoever has them.
+
+    `whole_bytes` is how long the file is up to the last chunk that is wholly in it.
+    """
+
+    def __init__(self, file: McapFile, whole_bytes: int) -> None:
+        """Begin with a file of which `whole_bytes` are there."""
+        self.whole_bytes = whole_bytes
+        self._file = file
+        self._trouble: Exception | None = None
+        self._waiting: queue.Queue[list[Message] | None] = queue.Queue(WAITING_CHUNKS)
+        self._thread = threading.Thread(target=self._work, name='recording', daemon=True)
+        self._thread.start()
+
+    def add(self, messages: list[Message]) -> None:
+        """Have messages written; raises the error with which those before could not be."""
+        self._raise_trouble()
+        self._waiting.put(messages)
+
+    def finish(self) -> None:
+        """Wait until all is written; raises as `add` does."""
+        self.abandon()
+        self._raise_trouble()
+
+    def abandon(self) -> None:
+        """End the thread."""
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
+
+    def _raise_trouble(self) -> None:
+        if self._trouble is not None:
+            raise self._trouble
+
+    def _work(self) -> None:
+        while (messages := self._waiting.get()) is not None:
+            if self._trouble is not None:
+                continue
+            try:
+                self.whole_bytes = self._file.add_messages(messages)
+            except Exception as error:  # raised in the thread that writes messages
+                self._trouble = error
 
 
 def _reason(error: BaseException | None) -> str:
