@@ -42,6 +42,8 @@ COMMANDS = {
     'identify': 'identify',
     'frf': 'frf',
     'suggest': 'suggest',
+    'tune': 'tune',
+    'feedforward': 'feedforward',
     'modes': 'modes',
     'verify': 'verify',
     'demo': 'demo',
