@@ -44,6 +44,7 @@ COMMANDS = {
     'suggest': 'suggest',
     'tune': 'tune',
     'feedforward': 'feedforward',
+    'export-fmu': 'export_fmu',
     'modes': 'modes',
     'verify': 'verify',
     'demo': 'demo',

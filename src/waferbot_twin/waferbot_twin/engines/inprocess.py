@@ -285,10 +285,21 @@ class Twin:
         return signals
 
 
-def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcome:
+Advance = Callable[[int], Signals]
+"""Runs the next ticks and returns their signals."""
+
+
+def run(
+    plan: Plan,
+    out: Path | None,
+    force: bool,
+    progress: Progress,
+    advance_with: Callable[[Twin], Advance] | None = None,
+) -> Outcome:
     """
     Run a plan to its end, recording to `out` if given.
 
+    `advance_with` gives what advances the twin in place of its own loop: something else is its plant.
     Raises `UserError` if the folder exists (unless `force`), the plan is impossible, or an axis is not
     driven any more at its end (after closing the recording).
     """
@@ -305,7 +316,8 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
             recorder = SignalRecorder(writer, plan.timing)
             recorder.describe(urdf(twin.machine.description))
         try:
-            for signals in _chunks(twin, plan.ticks, progress):
+            advance = twin.advance if advance_with is None else advance_with(twin)
+            for signals in _chunks(twin, advance, plan.ticks, progress):
                 signals.note_failures(failures)
                 if recorder:
                     recorder.write(signals)
@@ -328,10 +340,10 @@ def _compile(plan: Plan) -> None:
     Twin.of(plan.model, plan.timing, plan.experiment).advance(1)
 
 
-def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
+def _chunks(twin: Twin, advance: Advance, ticks: int, progress: Progress) -> Iterator[Signals]:
     with Interrupt() as interrupt:
         while twin.tick < ticks:
-            yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+            yield advance(min(CHUNK_TICKS, ticks - twin.tick))
             progress(twin.tick, ticks)
             if interrupt.raised:
                 raise KeyboardInterrupt

@@ -10,8 +10,8 @@ A candidate c that misses conditions costs more than any that meets them, by how
 
     cost = 1000 + sum of [required - found] / required + number of loops that are unstable,
 
-and is not run. Minimised by scipy's differential evolution with a fixed seed, the present gains among the
-first candidates.
+and is not run. Minimised by differential evolution (scipy) with a fixed seed, the present gains among
+the first candidates.
 """
 
 from __future__ import annotations
