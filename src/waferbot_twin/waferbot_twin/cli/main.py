@@ -45,6 +45,8 @@ COMMANDS = {
     'tune': 'tune',
     'feedforward': 'feedforward',
     'export-fmu': 'export_fmu',
+    'export-model': 'export_model',
+    'import-urdf': 'import_urdf',
     'modes': 'modes',
     'verify': 'verify',
     'demo': 'demo',
