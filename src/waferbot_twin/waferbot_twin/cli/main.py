@@ -43,6 +43,8 @@ COMMANDS = {
     'frf': 'frf',
     'suggest': 'suggest',
     'tune': 'tune',
+    'sweep': 'sweep',
+    'optimise': 'optimise',
     'feedforward': 'feedforward',
     'export-fmu': 'export_fmu',
     'export-model': 'export_model',
