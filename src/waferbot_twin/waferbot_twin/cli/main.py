@@ -42,6 +42,7 @@ COMMANDS = {
     'identify': 'identify',
     'frf': 'frf',
     'suggest': 'suggest',
+    'library': 'library',
     'tune': 'tune',
     'sweep': 'sweep',
     'optimise': 'optimise',
