@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 import yaml
 
@@ -110,6 +109,7 @@ def test_mujoco_has_motors_and_friction_of_the_machine_as_built():
 
 
 def test_a_robot_has_pinocchios_mass_matrix_and_gravity():
+    pin = pytest.importorskip('pinocchio')
     found = read_urdf(ROBOT, 'bent.urdf')
     description = load_description(yaml.safe_dump(found.description))
     model = pin.buildModelFromXML(ROBOT)
