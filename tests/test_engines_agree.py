@@ -193,6 +193,33 @@ def test_every_shipped_model_is_the_same_composed(tmp_path, model):
     assert differing_signals(*runs) == []
 
 
+COMPENSATED = """\
+/**/pmac:
+  ros__parameters:
+    compensation: |
+      axis,over,at,current_a
+      y_linear,position_m,0,0.1
+      y_linear,position_m,0.01,0.7
+      x_rotate,speed_rad_s,-0.1,-2
+      x_rotate,speed_rad_s,0.1,2
+      y_rotate,time_s:wafer_exchange,0.01,0.3
+      y_rotate,time_s:wafer_exchange,0.05,-0.3
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('engine', ['ros', 'composed'])
+def test_compensation_tables_act_in_the_same_cycles(tmp_path, engine):
+    model = tmp_path / 'compensated.yaml'
+    model.write_text(COMPENSATED, 'utf-8')
+    runs = [
+        run_engine(name, tmp_path / name, 'wafer_exchange', model=str(model), duration_s=0.1)
+        for name in (engine, 'inprocess')
+    ]
+    assert differing_signals(*runs) == []
+    assert abs(runs[0]['servo_state']['output'][:, 2]).max() > 200.0
+
+
 @pytest.mark.slow
 def test_a_difference_is_found(recorded, tmp_path):
     other = run_engine('inprocess', tmp_path / 'other', 'constant')

@@ -67,15 +67,26 @@ class AxisResponse:
         `rise` says which arrival at the command ends the rise; `level_shift` moves the levels: see
         `metrics.step_metrics`.
         """
-        step = self.step()
-        if step is None:
+        if self.step() is None:
             return None
-        start_s, height = step
-        later = np.flatnonzero(np.diff(self.commanded))[1:]
-        end_s = self.servo_time[later[0] + 1] if len(later) else np.inf
+        jumps = np.flatnonzero(np.diff(self.commanded))
+        end_s = self.servo_time[jumps[1] + 1] if len(jumps) > 1 else np.inf
+        return self.one_step(int(jumps[0]), float(end_s), rise, level_shift)
+
+    def one_step(
+        self, jump: int, end_s: float, rise: str = 'first', level_shift: float = 0.0
+    ) -> StepMetrics:
+        """Return the figures of the step behind servo cycle `jump`, up to `end_s`."""
+        start_s = float(self.servo_time[jump + 1])
         part = (self.encoder_time >= start_s) & (self.encoder_time < end_s)
-        time, position = self.since_start()
-        return step_metrics(time[part], position[part], height, rise, level_shift)
+        height = float(self.commanded[jump + 1] - self.commanded[jump])
+        return step_metrics(
+            self.encoder_time[part] - start_s,
+            self.position[part] - self.commanded[jump],
+            height,
+            rise,
+            level_shift,
+        )
 
     def since_start(self) -> tuple[np.ndarray, np.ndarray]:
         """

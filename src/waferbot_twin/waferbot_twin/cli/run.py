@@ -86,6 +86,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--startup-timeout', type=float, default=60.0, metavar='S',
         help='wall time to wait for all nodes, yours as well (default 60)',
     )  # fmt: skip
+    parser.add_argument(
+        '--plant', type=Path, metavar='FMU',
+        help='an FMU in the place of the plant; in process, without ROS',
+    )  # fmt: skip
+    parser.add_argument(
+        '--plant-map', type=Path, metavar='FILE',
+        help='YAML: what the FMU calls the inputs and outputs (docs/fmi.md)',
+    )  # fmt: skip
     parser.add_argument('--domain', type=int, help='ROS domain (default: a free one)')
     parser.add_argument(
         '--any-host', action='store_true', help='let nodes on other machines take part'
@@ -109,6 +117,8 @@ def execute(options: argparse.Namespace) -> int:
         raise UserError(
             f'--compose is for --engine ros; {options.engine} has one process in any case'
         )
+    if options.plant is None and options.plant_map is not None:
+        raise UserError('--plant-map belongs to --plant')
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
     if options.pmac_settings is not None:
         plan = with_pmac_settings(plan, options.pmac_settings)
@@ -147,7 +157,9 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         say('compiling the model: once for these sources, half a minute, then kept on disk')
     begun_s = time.perf_counter()
     with progress_bar(f'{plan.experiment.name} on {plan.model.name}') as progress:
-        if options.engine == 'inprocess':
+        if options.plant is not None:
+            outcome = _run_with_fmu(plan, options, progress)
+        elif options.engine == 'inprocess':
             from waferbot_twin.engines import inprocess
 
             outcome = inprocess.run(plan, options.out, options.force, progress)
@@ -156,7 +168,7 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     wall_s = time.perf_counter() - begun_s
     sim_s = plan.timing.seconds(plan.ticks)
     return {
-        'engine': options.engine,
+        'engine': options.engine if options.plant is None else f'inprocess, plant {options.plant}',
         'experiment': plan.experiment.name,
         'model': plan.model.name,
         'seed': plan.seed,
@@ -168,6 +180,29 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         'recorder': outcome.recorder,
         'out': str(options.out) if options.out else None,
     }
+
+
+def _run_with_fmu(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
+    """Run a plan with an FMU in the place of its plant."""
+    from waferbot_lockstep.marked_yaml import read
+    from waferbot_twin.engines import inprocess
+    from waferbot_twin.fmi.foreign_plant import advance, foreign_plant
+
+    mapping = {} if options.plant_map is None else read(options.plant_map).data
+    if not isinstance(mapping, dict) or not all(
+        isinstance(name, str) for pair in mapping.items() for name in pair
+    ):
+        raise UserError(
+            f'--plant-map {options.plant_map}: it must map our names to those of the FMU'
+        )
+    with foreign_plant(options.plant, mapping, plan.timing) as foreign:
+        return inprocess.run(
+            plan,
+            options.out,
+            options.force,
+            progress,
+            lambda twin: lambda ticks: advance(twin, foreign, ticks),
+        )
 
 
 def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:

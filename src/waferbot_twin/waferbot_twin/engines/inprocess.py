@@ -49,7 +49,7 @@ from waferbot_lockstep.wire import WireFormat
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.urdf import urdf
-from waferbot_pmac import servo
+from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.failures import Failures
@@ -191,6 +191,7 @@ class Twin:
         self.amplifier_parameters = amplifier_parameters(copley, timing, source)
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
         self.commanded = np.zeros((1, len(AXES)))
+        self.offsets = np.zeros((1, len(AXES)))
         self.tick = 0
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)
@@ -208,8 +209,36 @@ class Twin:
         twin = cls(
             machine, model.of_axes('pmac'), model.of_axes('copley'), timing, str(model.path)
         )
-        twin.commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        twin.command(commanded, model.compensation, experiment.name)
         return twin
+
+    def command(
+        self,
+        commanded: np.ndarray,
+        tables: Sequence[compensation.Table] = (),
+        experiment: str = '',
+    ) -> None:
+        """
+        Command positions (cycles, 3), counts from where the axes are; with compensation tables.
+
+        Tables over time are those of `experiment`.
+        """
+        self.commanded = commanded
+        self.offsets = compensation.offsets(
+            tables,
+            experiment,
+            self._first_positions() + commanded,
+            self.servo_parameters,
+            self.timing.servo_hz,
+        )
+
+    def _first_positions(self) -> np.ndarray:
+        """Return the counts (3,) of the position encoders at tick 0, from which motions begin."""
+        counts = np.zeros(4, np.int64)
+        state, line_current = self.plant_state.copy(), np.zeros(2 * len(AXES))
+        plant.measure(state, self.plant_parameters, 0, counts, line_current)
+        return counts[self.servo_parameters['Ixx03'][0]].astype(np.float64)
 
     def advance(self, ticks: int) -> Signals:
         """
@@ -230,6 +259,7 @@ class Twin:
             self.amplifier_state,
             self.amplifier_parameters,
             self.commanded,
+            self.offsets,
             self._start,
             self._counts,
             self._current,
@@ -255,10 +285,21 @@ class Twin:
         return signals
 
 
-def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcome:
+Advance = Callable[[int], Signals]
+"""Runs the next ticks and returns their signals."""
+
+
+def run(
+    plan: Plan,
+    out: Path | None,
+    force: bool,
+    progress: Progress,
+    advance_with: Callable[[Twin], Advance] | None = None,
+) -> Outcome:
     """
     Run a plan to its end, recording to `out` if given.
 
+    `advance_with` gives what advances the twin in place of its own loop: something else is its plant.
     Raises `UserError` if the folder exists (unless `force`), the plan is impossible, or an axis is not
     driven any more at its end (after closing the recording).
     """
@@ -275,7 +316,8 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
             recorder = SignalRecorder(writer, plan.timing)
             recorder.describe(urdf(twin.machine.description))
         try:
-            for signals in _chunks(twin, plan.ticks, progress):
+            advance = twin.advance if advance_with is None else advance_with(twin)
+            for signals in _chunks(twin, advance, plan.ticks, progress):
                 signals.note_failures(failures)
                 if recorder:
                     recorder.write(signals)
@@ -298,10 +340,10 @@ def _compile(plan: Plan) -> None:
     Twin.of(plan.model, plan.timing, plan.experiment).advance(1)
 
 
-def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
+def _chunks(twin: Twin, advance: Advance, ticks: int, progress: Progress) -> Iterator[Signals]:
     with Interrupt() as interrupt:
         while twin.tick < ticks:
-            yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+            yield advance(min(CHUNK_TICKS, ticks - twin.tick))
             progress(twin.tick, ticks)
             if interrupt.raised:
                 raise KeyboardInterrupt
@@ -420,6 +462,7 @@ def _advance(
     amplifier_state,
     amplifier_parameters,
     commanded,
+    offsets,
     start,
     counts,
     current,
@@ -484,6 +527,9 @@ def _advance(
             place = min(cycle, commanded.shape[0] - 1)
             for axis in range(3):
                 target[axis] = start[axis] + commanded[place, axis]
+            place = min(cycle, offsets.shape[0] - 1)
+            for axis in range(3):
+                servo_state[0]['offset'][axis] = offsets[place, axis]
             servo.step(servo_state, servo_parameters, counts, target, current)
             s = servo_state[0]
             for axis in range(3):
