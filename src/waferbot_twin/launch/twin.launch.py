@@ -14,7 +14,7 @@ live beside each other. Tools that follow the time of one need
 """
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -23,6 +23,9 @@ from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
 from waferbot_twin.models import load_model
+
+TO_LEAVE_S = '15'
+"""Wall time to leave in after SIGINT: nodes stay until they are heard, the recorder until all is written."""
 
 ARGUMENTS = (
     DeclareLaunchArgument('model', default_value='rigid', description='name or file of the model'),
@@ -86,8 +89,10 @@ def make_nodes(context):
             nodes[f'copley_{axis}'] = ('copley', parameters['copley'], {'axes': [axis]})
     else:
         nodes['copley'] = ('copley', parameters['copley'], {})
+    if argument['record']:
+        nodes['plant'][2]['start_paused'] = True  # the recorder lets time go
     if argument['record'] and argument['timekeeping'] == 'lockstep':
-        nodes['plant'][2].update(start_paused=True, recorder_window=RECORDER_WINDOW)
+        nodes['plant'][2]['recorder_window'] = RECORDER_WINDOW
     without = [name.strip() for name in argument['without'].split(',') if name.strip()]
     unknown = [name for name in without if name not in nodes]
     if unknown:
@@ -113,12 +118,17 @@ def twin_node(kind, name, namespace, parameters):
         namespace=namespace,
         output='screen',
         emulate_tty=True,
+        sigterm_timeout=TO_LEAVE_S,
         parameters=parameters,
     )
 
 
 def recorder(argument):
-    """Return the node that records, if it is wanted."""
+    """
+    Return the node that records, if it is wanted.
+
+    Where it cannot record, the plant would wait for it at tick 0: then everything ends.
+    """
     if not argument['record']:
         return []
     told = ('model', 'experiment', 'without', 'timekeeping')
@@ -128,7 +138,8 @@ def recorder(argument):
             executable='recorder',
             namespace=argument['namespace'],
             output='screen',
-            sigterm_timeout='15',
+            sigterm_timeout=TO_LEAVE_S,
+            on_exit=Shutdown(reason='the recorder has ended'),
             arguments=[
                 argument['record'],
                 *(f'--{name}={argument[name]}' for name in told),
