@@ -25,7 +25,7 @@ from waferbot_plant.urdf import urdf
 from waferbot_twin.models import load_model
 
 TO_LEAVE_S = '15'
-"""Wall time to leave in after SIGINT: nodes stay until they are heard, the recorder until all is written."""
+"""Wall time to leave in after SIGINT: nodes stay until heard, a recorder until all is written."""
 
 ARGUMENTS = (
     DeclareLaunchArgument('model', default_value='rigid', description='name or file of the model'),
