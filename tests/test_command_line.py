@@ -101,6 +101,14 @@ MISTAKES = {
         ('run', '--engine', 'composed', '--without', 'pmak', '--duration', '0.01'),
         'pmak',
     ),
+    'nodes without ROS': (
+        (*FAST, '--without', 'pmac'),
+        '--without is for nodes over ROS; with --engine inprocess there are none',
+    ),
+    'nodes beside an FMU': (
+        ('run', '--plant', 'plant.fmu', '--device-clock', 'hold'),
+        '--device-clock is for nodes over ROS; with --plant there are none',
+    ),
 }
 
 

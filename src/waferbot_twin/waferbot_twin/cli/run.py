@@ -113,12 +113,9 @@ def execute(options: argparse.Namespace) -> int:
         raise UserError(
             f'--device-timeout is {options.device_timeout:g} s; it must be from 0.05 to 3600'
         )
-    if options.compose and options.engine != 'ros':
-        raise UserError(
-            f'--compose is for --engine ros; {options.engine} has one process in any case'
-        )
     if options.plant is None and options.plant_map is not None:
         raise UserError('--plant-map belongs to --plant')
+    _refuse_options_of_other_engines(options)
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
     if options.pmac_settings is not None:
         plan = with_pmac_settings(plan, options.pmac_settings)
@@ -135,6 +132,27 @@ def execute(options: argparse.Namespace) -> int:
         if result['out']:
             print(f'recorded to {result["out"]}')
     return 0
+
+
+def _refuse_options_of_other_engines(options: argparse.Namespace) -> None:
+    """Refuse what would have no effect: options of ROS without ROS, `--compose` of what is composed."""
+    if options.engine == 'composed' and options.compose and options.plant is None:
+        raise UserError('--compose is for --engine ros; composed has one process in any case')
+    if options.engine != 'inprocess' and options.plant is None:
+        return
+    of_ros = {
+        '--compose': options.compose,
+        '--delivery': options.delivery != DIRECT,
+        '--copley-per-axis': options.copley_per_axis,
+        '--without': options.without,
+        '--device-clock': options.device_clock,
+        '--domain': options.domain is not None,
+        '--any-host': options.any_host,
+    }
+    for name, given in of_ros.items():
+        if given:
+            which = '--plant' if options.plant is not None else '--engine inprocess'
+            raise UserError(f'{name} is for nodes over ROS; with {which} there are none')
 
 
 def _names(text: str) -> tuple[str, ...]:
