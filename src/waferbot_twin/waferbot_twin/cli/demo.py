@@ -29,7 +29,7 @@ from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
-from waferbot_twin.response import axis_responses
+from waferbot_twin.response_reader import load_responses
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis
@@ -90,10 +90,10 @@ def _at_work(folder: Path) -> dict[str, Any]:
         for node in NODES
     }
     picture = folder / 'step.png'
-    plot_recording(recording, picture)
+    plot_recording(folder / 'ros', picture)
     metrics = {
         response.axis: asdict(figures)
-        for response in axis_responses(recording)
+        for response in load_responses(folder / 'ros')
         if (figures := response.metrics()) is not None
     }
     return {

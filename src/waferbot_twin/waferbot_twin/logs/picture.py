@@ -13,8 +13,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from waferbot_twin.html_page import save_drawing
-from waferbot_twin.logs.kinds import KINDS
 from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.thinning import thinned
 
 PANELS = (
     ('position', ('commanded_position', 'position')),
@@ -27,6 +27,9 @@ PANELS = (
     ('voltage', ('voltage_q', 'voltage')),
     ('temperature', ('temperature',)),
 )
+
+MOST_DRAWN = 8000
+"""Samples of a line, an envelope if there are more: several for each column of the widest picture."""
 
 
 def plot_log(log: MeasuredLog, file: Path) -> None:
@@ -46,8 +49,8 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
             panel = panels[row][column]
             signals = [found for kind in kinds if (found := log.get(axis, kind))]
             for signal in signals:
-                style = 'steps-post' if KINDS[signal.kind].held else 'default'
-                time_s, value = _broken_at_gaps(signal)
+                style = 'steps-post' if signal.held else 'default'
+                time_s, value = _drawn(signal)
                 label = signal.kind.replace('_', ' ')
                 panel.plot(time_s, value, lw=0.9, drawstyle=style, label=label)
             if not signals:
@@ -64,7 +67,19 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
     save_drawing(figure, file)
 
 
-def _broken_at_gaps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and values with a NaN in every gap, so that no line is drawn across it."""
-    gap = np.flatnonzero(np.diff(signal.time_s) > signal.gap_s) + 1
-    return np.insert(signal.time_s, gap, signal.time_s[gap]), np.insert(signal.value, gap, np.nan)
+def _drawn(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return times and values of the line: the least and the greatest of each stretch of a long signal.
+
+    A NaN stands in every gap, so that no line is drawn across it.
+    """
+    gaps = np.flatnonzero(np.diff(signal.time_s) > signal.gap_s) + 1
+    share = min(1.0, MOST_DRAWN / len(signal.time_s))
+    times, values = [], []
+    for time_s, value in zip(
+        np.split(signal.time_s, gaps), np.split(signal.value, gaps), strict=True
+    ):
+        kept_s, kept = thinned(time_s, value, max(2, round(share * len(value))))
+        times += [kept_s, kept_s[-1:]]
+        values += [kept, np.array([np.nan])]
+    return np.concatenate(times), np.concatenate(values)
