@@ -75,6 +75,11 @@ class RecordingWriter:
             self._begun_bytes = self._whole_bytes = self._file.tell()
             self._write_metadata()
 
+    @property
+    def folder(self) -> Path:
+        """Where files that belong to the recording are to be written before it is closed."""
+        return self._output.folder
+
     def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
         qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
