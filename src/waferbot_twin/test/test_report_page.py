@@ -65,7 +65,11 @@ def diagnosis():
         164,
         12.0,
         [f'a note on {EVIL}'],
-        [Correction('mass of the carriage', 'bodies.carriage.mass_kg', 'kg', 40.0, 41.0, 40.5, 41.5)],
+        [
+            Correction(
+                'mass of the carriage', 'bodies.carriage.mass_kg', 'kg', 40.0, 41.0, 40.5, 41.5
+            )
+        ],
     )
 
 
