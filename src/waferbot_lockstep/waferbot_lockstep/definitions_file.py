@@ -25,7 +25,7 @@ _FIELD = re.compile(r'^\s*([A-Za-z]\w*(?:/\w+)*)(?:\[[^\]]*\])?\s+\w+')
 
 
 def definitions_text() -> str:
-    """Return what the file must hold: all messages of waferbot_msgs, and the standard ones of recordings."""
+    """Return what the file must hold: all of waferbot_msgs, and the standard ones of recordings."""
     own = Path(get_package_share_directory('waferbot_msgs')) / 'msg'
     names = [f'waferbot_msgs/msg/{path.stem}' for path in sorted(own.glob('*.msg'))]
     names += [type_name for _, type_name in (CLOCK, JOINT_STATES, ROBOT_DESCRIPTION)] + [FLOAT64]

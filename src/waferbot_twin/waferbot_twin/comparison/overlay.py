@@ -29,7 +29,7 @@ from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_lockstep.wire import LITTLE_ENDIAN
 from waferbot_twin.comparison.traces import Trace
 from waferbot_twin.html_page import save_drawing
-from waferbot_twin.recording.writer import RecordingWriter, as_json
+from waferbot_twin.recording.writer import RecordingWriter, Table, as_json
 from waferbot_twin.thinning import thinned
 
 ATTACHMENT = 'overlay.json'
@@ -64,25 +64,19 @@ def write_overlay(
         ],
     }
     with RecordingWriter(path, {ATTACHMENT: as_json(attached)}, force) as writer:
-        topics: list[str] = []
-        stamps, places, messages = [], [], []
+        tables = []
         for name, trace in zip(names, traces, strict=True):
+            stamps_ns = np.round(trace.time_s * 1e9).astype(np.int64) + zero_ns
             for side in SIDES:
                 writer.add_topic(f'/{side}/{name}', FLOAT64)
-                records = np.zeros(len(trace.time_s), _MESSAGE)
+                records = np.zeros(len(stamps_ns), _MESSAGE)
                 records['encapsulation'] = np.void(LITTLE_ENDIAN)
                 records['data'] = getattr(trace, side)
-                stamps.append(np.round(trace.time_s * 1e9).astype(np.int64) + zero_ns)
-                places.append(np.full(len(records), len(topics)))
-                messages.append(records)
-                topics.append(f'/{side}/{name}')
-        stamp_ns, place_of = np.concatenate(stamps), np.concatenate(places)
-        data = np.concatenate(messages)
+                tables.append(Table.of(f'/{side}/{name}', stamps_ns, records))
         # In the order of time, as players want it; at equal times in the order of the topics.
-        for row in np.lexsort((place_of, stamp_ns)).tolist():
-            writer.write(topics[place_of[row]], int(stamp_ns[row]), data[row].tobytes())
+        writer.write_tables(tables)
         _draw(traces, names, path.name, writer.folder / PICTURE)
-        writer.close({'complete': 'true', 'samples': str(len(data))})
+        writer.close({'complete': 'true', 'samples': str(writer.message_count)})
 
 
 def _names(traces: Sequence[Trace]) -> list[str]:

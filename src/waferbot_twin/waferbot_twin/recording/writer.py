@@ -12,23 +12,48 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 import yaml
-from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.recording.mcap_writer import Batch, McapWriter
 
 CHUNK_BYTES = 1 << 18
-FLUSH_MESSAGES = 1000
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Messages of a topic: their stamps (n,), ascending, and their bytes, `rows` (n, width), in CDR."""
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    rows: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, topic: str, stamps_ns: NDArray[np.int64], records: np.ndarray) -> Table:
+        """Return the table of a structured array (n,) whose elements are the messages byte by byte."""
+        rows = np.ascontiguousarray(records).view(np.uint8).reshape(len(records), -1)
+        return cls(topic, stamps_ns, rows)
+
+    @classmethod
+    def of_messages(
+        cls, topic: str, stamps_ns: NDArray[np.int64], messages: Sequence[bytes]
+    ) -> Table:
+        """Return the table of messages that are equally long."""
+        content = np.frombuffer(b''.join(messages), np.uint8)
+        return cls(topic, stamps_ns, content.reshape(len(messages), -1))
 
 
 class RecordingWriter:
@@ -64,15 +89,12 @@ class RecordingWriter:
         self._counts: dict[str, int] = {}
         with self._told():
             self._file = (self._output.folder / self._file_name).open('xb')
-            self._writer = Writer(
-                self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-            )
-            self._writer.start('ros2', 'waferbot')
+            self._writer = McapWriter(self._file, CHUNK_BYTES, 'ros2', 'waferbot')
             for name, text in attachments.items():
                 media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
-                self._writer.add_attachment(0, 0, name, media_type, text.encode())
-            self._file.flush()
-            self._begun_bytes = self._whole_bytes = self._file.tell()
+                self._writer.add_attachment(name, media_type, text.encode())
+            self._writer.flush()
+            self._begun_bytes = self._writer.whole_bytes
             self._write_metadata()
 
     @property
@@ -85,8 +107,8 @@ class RecordingWriter:
         qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
         definition = full_text(type_name)
         digest = type_hash(type_name)
-        schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
-        self._channels[name] = self._writer.register_channel(
+        schema = self._writer.add_schema(type_name, 'ros2msg', definition.encode())
+        self._channels[name] = self._writer.add_channel(
             name,
             'cdr',
             schema,
@@ -106,18 +128,30 @@ class RecordingWriter:
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append one message, in CDR, at a sim time; messages of one topic come in order."""
-        count = self._counts[topic]
         try:
-            self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
-            self._counts[topic] = count + 1
-            self.message_count += 1
-            if self.message_count % FLUSH_MESSAGES == 0:
-                self._file.flush()
-                self._whole_bytes = self._file.tell()
+            self._writer.add_message(self._channels[topic], stamp_ns, data)
+            self._note(topic, 1, stamp_ns, stamp_ns)
         except OSError as error:
             raise self._trouble(error) from error
-        self._first_ns = min(self._first_ns, stamp_ns)
-        self._last_ns = max(self._last_ns, stamp_ns)
+
+    def write_tables(self, tables: Sequence[Table]) -> None:
+        """Append messages of several topics by time, at equal times in the order of the tables."""
+        there = [table for table in tables if len(table.stamps_ns)]
+        if not there:
+            return
+        with self._told():
+            for one in there:
+                first_ns, last_ns = one.stamps_ns[[0, -1]].tolist()
+                self._note(one.topic, len(one.stamps_ns), first_ns, last_ns)
+            self._writer.add_batches(
+                [Batch(self._channels[one.topic], one.stamps_ns, one.rows) for one in there]
+            )
+
+    def _note(self, topic: str, count: int, first_ns: int, last_ns: int) -> None:
+        self._counts[topic] += count
+        self.message_count += count
+        self._first_ns = min(self._first_ns, first_ns)
+        self._last_ns = max(self._last_ns, last_ns)
 
     def close(self, summary: Mapping[str, str]) -> None:
         """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
@@ -131,7 +165,6 @@ class RecordingWriter:
             )
             self._writer.finish()
             atomic_files.flush_to_disk(self._file)
-            self._whole_bytes = self._file.tell()
             self._file.close()
             self._write_metadata()
 
@@ -154,7 +187,7 @@ class RecordingWriter:
         else:
             mine = False
         self._output.worth_keeping = (
-            self.message_count > 0 and self._whole_bytes > self._begun_bytes
+            self.message_count > 0 and self._writer.whole_bytes > self._begun_bytes
         )
         self._output.__exit__(kind, error, traceback)
         if mine and error is not None:
@@ -165,7 +198,7 @@ class RecordingWriter:
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError):
-            os.truncate(self._output.folder / self._file_name, self._whole_bytes)
+            os.truncate(self._output.folder / self._file_name, self._writer.whole_bytes)
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
