@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from waferbot_twin.html_page import save_drawing
+from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.recording.reader import Progress, header_of
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
@@ -25,12 +25,13 @@ MOST_DRAWN = 4000
 """Samples of a line, an envelope if there are more: eight for each column of a panel."""
 
 _PREFIXES = ((1.0, ''), (1e3, 'm'), (1e6, 'µ'), (1e9, 'n'))
+_WITHOUT_PREFIX = ('A', '1', 'degC')
 
 
 def scaled_unit(values: np.ndarray, unit: str) -> tuple[float, str]:
     """Return a factor and a unit with SI prefix that bring the largest value above 1."""
     largest = float(np.max(np.abs(values))) if len(values) else 0.0
-    if unit == 'A' or largest == 0.0:
+    if unit in _WITHOUT_PREFIX or largest == 0.0:
         return 1.0, unit
     fitting = [(factor, prefix) for factor, prefix in _PREFIXES if largest * factor >= 1.0]
     factor, prefix = fitting[0] if fitting else _PREFIXES[-1]
@@ -55,8 +56,7 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
         _draw_current(panels[2][column], response)
         panels[2][column].set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
-    figure.suptitle(f'{path.name}: {title}', fontsize=11)
-    figure.tight_layout()
+    set_title(figure, f'{path.name}: {title}')
     save_drawing(figure, file)
 
 

@@ -28,7 +28,8 @@ from waferbot_lockstep.standard_messages import FLOAT64
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_lockstep.wire import LITTLE_ENDIAN
 from waferbot_twin.comparison.traces import Trace
-from waferbot_twin.html_page import save_drawing
+from waferbot_twin.html_page import save_drawing, set_title
+from waferbot_twin.plot import scaled_unit
 from waferbot_twin.recording.writer import RecordingWriter, Table, as_json
 from waferbot_twin.thinning import thinned
 
@@ -94,21 +95,26 @@ def _draw(traces: Sequence[Trace], names: Sequence[str], title: str, file: Path)
         len(traces), 2, figsize=(13.0, 1.0 + 2.1 * len(traces)), squeeze=False, sharex=True
     )
     for row, (name, trace) in enumerate(zip(names, traces, strict=True)):
+        factor, unit = scaled_unit(np.concatenate([trace.measured, trace.simulated]), trace.unit)
+        left_factor, left_unit = scaled_unit(trace.residual, trace.unit)
         for side in SIDES:
-            panel = panels[row][int(side == 'residual')]
+            left = side == 'residual'
             time_s, values = thinned(trace.time_s, getattr(trace, side), MOST_DRAWN)
-            panel.plot(time_s, values, color=_COLOURS[side], lw=_WIDTHS[side], label=side)
+            values = values * (left_factor if left else factor)
+            panels[row][int(left)].plot(
+                time_s, values, color=_COLOURS[side], lw=_WIDTHS[side], label=side
+            )
         block = f', {trace.block}' if trace.block else ''
         panels[row][0].set_title(f'{name}{block}', fontsize=9)
-        panels[row][0].set_ylabel(f'[{trace.unit}]')
+        panels[row][0].set_ylabel(f'[{unit}]')
         panels[row][0].legend(loc='upper right', fontsize=8)
-        panels[row][1].set_title(
-            f'residual, RMS {trace.as_dict()["rms_residual"]:.4g} {trace.unit}', fontsize=9
-        )
+        size = left_factor * trace.as_dict()['rms_residual']
+        panels[row][1].set_title(f'residual, RMS {size:.4g} {left_unit}', fontsize=9)
+        panels[row][1].set_ylabel(f'[{left_unit}]')
         for panel in panels[row]:
             panel.grid(alpha=0.3)
+            panel.ticklabel_format(axis='y', useOffset=False)
     for panel in panels[-1]:
         panel.set_xlabel('time [s]')
-    figure.suptitle(title, fontsize=11)
-    figure.tight_layout()
+    set_title(figure, title)
     save_drawing(figure, file)

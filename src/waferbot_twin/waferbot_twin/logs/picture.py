@@ -12,7 +12,7 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 
-from waferbot_twin.html_page import save_drawing
+from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.thinning import thinned
 
@@ -62,8 +62,7 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
             panel.grid(alpha=0.3)
         panels[0][column].set_title(axis)
         panels[-1][column].set_xlabel('time [s]')
-    figure.suptitle(log.name, fontsize=11)
-    figure.tight_layout()
+    set_title(figure, log.name)
     save_drawing(figure, file)
 
 
