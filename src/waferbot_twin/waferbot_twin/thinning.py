@@ -11,6 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_twin.logs.timebase import longest_step_s
+
 Array = NDArray[np.float64]
 
 GROUP = 4
@@ -39,6 +41,18 @@ def thinned(time_s: Array, values: Array, most: int) -> tuple[Array, Array]:
     if len(values) <= most:
         return time_s, values
     return extremes(time_s, values, -(-2 * len(values) // most))
+
+
+def thinned_with_gaps(time_s: Array, values: Array, most: int) -> tuple[Array, Array]:
+    """Return a signal as about `most` of its samples, with a NaN in every gap: no line goes across."""
+    gaps = np.flatnonzero(np.diff(time_s) > longest_step_s(time_s)) + 1
+    share = min(1.0, most / max(len(time_s), 1))
+    times, parts = [], []
+    for own_s, own in zip(np.split(time_s, gaps), np.split(values, gaps), strict=True):
+        kept_s, kept = thinned(own_s, own, max(2, round(share * len(own))))
+        times += [kept_s, kept_s[-1:]]
+        parts += [kept, np.full(len(kept_s[-1:]), np.nan)]
+    return np.concatenate(times), np.concatenate(parts)
 
 
 class Thinned:

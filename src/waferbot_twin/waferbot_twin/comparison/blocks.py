@@ -21,7 +21,7 @@ that is exact if all of them were logged.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ from waferbot_twin.residuals.drive_block import (
     WindingsBlock,
     driven_currents,
 )
+from waferbot_twin.residuals.from_measured_log import with_short_pauses_of
 from waferbot_twin.residuals.load import load_record
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.problem import (
@@ -96,7 +97,9 @@ def replay_blocks(path: Path, variant: Variant, node: str | None = None) -> Repl
     can be replayed.
     """
     record = load_record(path, variant)
-    log = load_log(path, machine=variant.machine_text) if record.is_imported else None
+    log, clock = None, None
+    if record.is_imported:
+        log, clock = with_short_pauses_of(load_log(path, machine=variant.machine_text), variant)
     wanted = [block for block in NODE_OF_BLOCK if node in (None, NODE_OF_BLOCK[block])]
     begin_s = 0.0 if log is None else beginning_s(record, log, variant)
     traces, notes = [], list(record.notes)
@@ -117,18 +120,14 @@ def replay_blocks(path: Path, variant: Variant, node: str | None = None) -> Repl
             f'{path}: {what} {variant.name} can be replayed: the log lacks its inputs or its output'
             + ''.join(f'; {note}' for note in notes)
         )
+    if clock is not None:
+        traces = [replace(one, time_s=clock.logged_s(one.time_s)) for one in traces]
     return Replayed(tuple(traces), tuple(dict.fromkeys(notes)))
 
 
 def _shifted(traces: Iterable[Trace], begin_s: float) -> list[Trace]:
     """Return traces of a record with the times of the log that it is of."""
-    return [
-        Trace(
-            one.axis, one.kind, one.unit, one.block, one.time_s + begin_s, one.measured,
-            one.simulated,
-        )
-        for one in traces
-    ]  # fmt: skip
+    return [replace(one, time_s=one.time_s + begin_s) for one in traces]
 
 
 def _plant(record: Record, variant: Variant) -> list[Trace]:

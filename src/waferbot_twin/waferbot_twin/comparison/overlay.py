@@ -31,7 +31,7 @@ from waferbot_twin.comparison.traces import Trace
 from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.plot import scaled_unit
 from waferbot_twin.recording.writer import RecordingWriter, Table, as_json
-from waferbot_twin.thinning import thinned
+from waferbot_twin.thinning import thinned_with_gaps
 
 ATTACHMENT = 'overlay.json'
 PICTURE = 'overlay.png'
@@ -99,7 +99,7 @@ def _draw(traces: Sequence[Trace], names: Sequence[str], title: str, file: Path)
         left_factor, left_unit = scaled_unit(trace.residual, trace.unit)
         for side in SIDES:
             left = side == 'residual'
-            time_s, values = thinned(trace.time_s, getattr(trace, side), MOST_DRAWN)
+            time_s, values = thinned_with_gaps(trace.time_s, getattr(trace, side), MOST_DRAWN)
             values = values * (left_factor if left else factor)
             panels[row][int(left)].plot(
                 time_s, values, color=_COLOURS[side], lw=_WIDTHS[side], label=side

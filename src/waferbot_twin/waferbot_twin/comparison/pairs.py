@@ -25,7 +25,7 @@ from waferbot_twin.frequency_response.simulated import simulated_log
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, MeasuredLog, Signal
 from waferbot_twin.residuals.closed_loop_record import simulate
-from waferbot_twin.residuals.from_measured_log import aligned_record
+from waferbot_twin.residuals.from_measured_log import aligned_record, with_short_pauses_of
 
 
 def traces_of(simulated: MeasuredLog, measured: MeasuredLog, later_s: float = 0.0) -> list[Trace]:
@@ -75,7 +75,10 @@ def in_closed_loop(path: Path, variant: Variant, model: str) -> tuple[MeasuredLo
             f'waferbot replay {path} --model {model} drives the plant by what was measured'
         )
     if places.described_axes(variant):
-        return log, _described(log, variant)
+        short, clock = with_short_pauses_of(log, variant)
+        simulated = _described(short, variant)
+        logged = [replace(one, time_s=clock.logged_s(one.time_s)) for one in simulated.signals]
+        return log, replace(simulated, signals=tuple(logged))
     if variant.is_machine_alone:
         raise UserError(
             f'{variant.name} is a machine alone: its controller is not known, so the loop cannot be '

@@ -10,11 +10,10 @@ import matplotlib
 matplotlib.use('Agg')
 
 import matplotlib.pyplot as plt
-import numpy as np
 
 from waferbot_twin.html_page import save_drawing, set_title
-from waferbot_twin.logs.measured import MeasuredLog, Signal
-from waferbot_twin.thinning import thinned
+from waferbot_twin.logs.measured import MeasuredLog
+from waferbot_twin.thinning import thinned_with_gaps
 
 PANELS = (
     ('position', ('commanded_position', 'position')),
@@ -50,7 +49,7 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
             signals = [found for kind in kinds if (found := log.get(axis, kind))]
             for signal in signals:
                 style = 'steps-post' if signal.held else 'default'
-                time_s, value = _drawn(signal)
+                time_s, value = thinned_with_gaps(signal.time_s, signal.value, MOST_DRAWN)
                 label = signal.kind.replace('_', ' ')
                 panel.plot(time_s, value, lw=0.9, drawstyle=style, label=label)
             if not signals:
@@ -64,21 +63,3 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
         panels[-1][column].set_xlabel('time [s]')
     set_title(figure, log.name)
     save_drawing(figure, file)
-
-
-def _drawn(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return times and values of the line: the least and the greatest of each stretch of a long signal.
-
-    A NaN stands in every gap, so that no line is drawn across it.
-    """
-    gaps = np.flatnonzero(np.diff(signal.time_s) > signal.gap_s) + 1
-    share = min(1.0, MOST_DRAWN / len(signal.time_s))
-    times, values = [], []
-    for time_s, value in zip(
-        np.split(signal.time_s, gaps), np.split(signal.value, gaps), strict=True
-    ):
-        kept_s, kept = thinned(time_s, value, max(2, round(share * len(value))))
-        times += [kept_s, kept_s[-1:]]
-        values += [kept, np.array([np.nan])]
-    return np.concatenate(times), np.concatenate(values)
