@@ -44,8 +44,8 @@ class Table:
     @classmethod
     def of(cls, topic: str, stamps_ns: NDArray[np.int64], records: np.ndarray) -> Table:
         """Return the table of a structured array (n,) whose elements are the messages byte by byte."""
-        rows = np.ascontiguousarray(records).view(np.uint8).reshape(len(records), -1)
-        return cls(topic, stamps_ns, rows)
+        rows = np.frombuffer(records.tobytes(), np.uint8)
+        return cls(topic, stamps_ns, rows.reshape(len(records), records.dtype.itemsize))
 
     @classmethod
     def of_messages(
