@@ -386,5 +386,5 @@ def _check_grammar(document: Document) -> None:
     }
     rule = error.validator_value
     rule = ', '.join(map(str, rule)) if isinstance(rule, list) else rule
-    text = texts.get(str(error.validator), error.message).format(rule)
+    text = texts.get(str(error.validator), 'is nothing that may stand there').format(rule)
     raise document.error(key, f'is {error.instance!r}; it {text}')
