@@ -19,6 +19,7 @@ from waferbot_lockstep.contract import (
     SERVO_STATE,
     Topic,
 )
+from waferbot_lockstep.errors import UserError
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.logs.archive import ATTACHMENT
 from waferbot_twin.logs.load import load_log
@@ -48,6 +49,11 @@ def load_responses(path: Path, progress: Progress | None = None) -> list[AxisRes
     header = header_of(path)
     if ATTACHMENT in header.attachments:
         return log_responses(load_log(path))
+    if 'model.yaml' not in header.attachments:
+        raise UserError(
+            f'{path} does not hold the model that it was made with, so its units are not known; if it '
+            f'was measured, bring it in first: waferbot import {path} --model M --out DIR'
+        )
     gathered = _Gathered(header, MOST_CURRENTS)
     return gathered.responses(stream_recording(path, gathered.take, progress))
 

@@ -417,3 +417,21 @@ def test_samples_that_are_not_known_on_both_sides_are_left_out() -> None:
     assert one.time_s.tolist() == [1.0, 2.0]
     assert one.residual.tolist() == [-0.5, 0.0]
     assert trace(AXIS, 'current', 'A', '', time_s, known, np.full(3, np.nan)) == []
+
+
+def test_what_an_overlay_cannot_do_is_told_in_one_line(folder, capsys) -> None:
+    out = folder / 'refused'
+    assert main(['replay', str(folder / 'imported'), '--model', 'rigid', '--out', str(out)]) == 0
+    capsys.readouterr()
+    for command, hint in (
+        (['plot', str(out), '--out', str(folder / 'no.png')], 'does not hold the model'),
+        (['metrics', str(out)], 'does not hold the model'),
+        (['diagnose', str(out), '--out', str(folder / 'no')], 'more)'),
+    ):
+        assert main(command) == 1
+        said = capsys.readouterr().err
+        assert said.startswith('waferbot: error: ')
+        assert hint in said
+        assert len(said.splitlines()) == 1
+        assert len(said) < 800
+    assert not (folder / 'no').exists()

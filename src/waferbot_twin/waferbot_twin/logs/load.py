@@ -18,7 +18,7 @@ from waferbot_twin.logs.bags import BagColumns, is_bag, joint_state_sources, rea
 from waferbot_twin.logs.build import Collected, build, finish
 from waferbot_twin.logs.columns import Columns
 from waferbot_twin.logs.contract_signals import ContractSignals
-from waferbot_twin.logs.findings import Finding
+from waferbot_twin.logs.findings import Finding, names_text
 from waferbot_twin.logs.gather import read_gather
 from waferbot_twin.logs.json_lines import read_json
 from waferbot_twin.logs.machine import controls_of, load_constants, machine_of
@@ -145,10 +145,9 @@ def _from_bag(
     if not content.closed:
         collected.findings.insert(0, _cut_off(path, content))
     if not collected.signals:
-        topics = ', '.join(sorted(content.messages)) or 'none'
         raise UserError(
             f'{path}: holds no topic of the contract and no joint state of an axis; say with --map '
-            f'which topics are what (topics: {topics})'
+            f'which topics are what (topics: {names_text(content.messages)})'
         )
     return finish(collected, _header(path, recording_files(path), mapping, name), peak_current)
 
