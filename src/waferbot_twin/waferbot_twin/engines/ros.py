@@ -41,7 +41,7 @@ from waferbot_lockstep.node import (
     make_executor,
 )
 from waferbot_lockstep.ros_logs import ensure_log_folder
-from waferbot_twin.engines.domain import Domain
+from waferbot_twin.engines.domain import Domain, check_loopback
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import close_complete, reported
@@ -96,6 +96,8 @@ def run(
     """
     options = options or RosOptions()
     _check_names(options)
+    if not options.composed:
+        check_loopback()
     with contextlib.ExitStack() as stack:
         domain = Domain(options.domain)
         stack.callback(domain.release)
