@@ -6,17 +6,42 @@ from __future__ import annotations
 import os
 import socket
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import domain_of, waferbot, wait_until
+from harness import domain_of, user_environment, waferbot, wait_until
 
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
+
+
+def test_without_loopback_it_is_said_before_anybody_waits(tmp_path):
+    """In a network of its own, in which every interface is down."""
+    apart = ('unshare', '--net', '--map-root-user')
+    if subprocess.run([*apart, 'true'], capture_output=True).returncode:
+        pytest.skip('no network namespaces here')
+    command = [
+        *apart,
+        sys.executable,
+        '-m',
+        'waferbot_twin',
+        'run',
+        '--out',
+        str(tmp_path / 'run'),
+    ]
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=120.0, env=user_environment()
+    )
+    assert result.returncode == 1
+    assert 'ip link set lo up' in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (tmp_path / 'run').exists()
 
 
 def test_two_twins_at_once_do_not_disturb_each_other(start, recorded, tmp_path):

@@ -45,8 +45,11 @@ KEYS = {
 WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard'}
 """pip installs them beside rosdep, as README says; zstandard comes with mcap."""
 
-NOT_INSTALLED = {'SALib', 'distributed', 'fmpy'}
-"""Imported where it is there; who uses `sweep --method saltelli`, `--cluster`, `--plant` installs it."""
+NOT_INSTALLED = {'SALib', 'distributed', 'fmpy', 'pyarrow'}
+"""
+Imported where they are there; who uses `sweep`, `--cluster`, `--plant` or has logs in Parquet installs
+them.
+"""
 
 NOT_IMPORTED = {'robot_state_publisher'}
 """Started by the launch file."""
@@ -102,7 +105,7 @@ def test_every_import_of_a_test_has_its_key(package):
     own = {file.stem for file in (package / 'test').rglob('*.py')}
     imported = imports([package / 'test']) - {package.name, 'waferbot'} - own
     of_pip = {'control', 'fmpy', 'mcap_ros2', 'mujoco', 'nbclient', 'nbformat', 'pinocchio'}
-    without = WITHOUT_KEY | of_pip
+    without = WITHOUT_KEY | NOT_INSTALLED | of_pip
     needed = {KEYS.get(name, name) for name in imported - without}
     declared = {*of_package_xml(package, 'exec_depend'), *of_package_xml(package, 'test_depend')}
     assert needed <= declared, needed - declared

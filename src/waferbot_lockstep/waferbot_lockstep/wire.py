@@ -148,6 +148,18 @@ class WireFormat:
         """Return many messages as one structured array of shape (len(messages),)."""
         return np.frombuffer(b''.join(map(self.normalised, messages)), self.dtype)
 
+    def records_of_rows(self, rows: np.ndarray) -> np.ndarray | None:
+        """
+        Return messages that are rows (n, `size`) of bytes as one structured array (n,).
+
+        None if one of them has not the fixed layout; then `records` has to do it.
+        """
+        little_endian = rows[:, :2] == np.frombuffer(LITTLE_ENDIAN[:2], np.uint8)
+        no_frame = rows[:, 12:16] == np.array([_FRAME_ID_LENGTH, 0, 0, 0], np.uint8)
+        if not (little_endian.all() and no_frame.all()):
+            return None
+        return np.ascontiguousarray(rows).view(self.dtype).ravel()
+
     def blank(self, count: int) -> np.ndarray:
         """Return `count` messages with all values zero, as a structured array to be filled in."""
         array = np.zeros(count, self.dtype)

@@ -56,7 +56,7 @@ from waferbot_twin.failures import Failures
 from waferbot_twin.models import Model
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
-from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.recording.writer import RecordingWriter, Table
 
 CHUNK_TICKS = 9000
 """Ticks between two looks at the clock and at Ctrl-C (0.5 s of sim time)."""
@@ -382,7 +382,6 @@ class SignalRecorder:
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
-        messages: list[tuple[int, int, str, bytes]] = []
         every = range(signals.first, signals.first + signals.ticks)
         amplifier_rows = int(signals.amplifier_messages[0])
         servo_values = np.split(signals.servo_state, 5, axis=1)
@@ -404,37 +403,42 @@ class SignalRecorder:
                 ),
             ),
         )
-        for order, (topic, ticks, valid, values) in enumerate(tables):
+        written = self._standard(signals) if self._standard_topics else []
+        for topic, ticks, valid, values in tables:
             if topic not in self._wire:
                 continue
             records = self._wire[topic].blank(len(ticks))
             records['tick'] = ticks
-            stamps = [self._timing.stamp_ns(int(tick)) for tick in ticks]
-            records['stamp_sec'], records['stamp_nanosec'] = (
-                np.divmod(np.array(stamps, np.int64), NANOSECONDS_PER_SECOND) if stamps else (0, 0)
+            stamps_ns = self._timing.stamps_ns(np.asarray(ticks, np.int64))
+            records['stamp_sec'], records['stamp_nanosec'] = np.divmod(
+                stamps_ns, NANOSECONDS_PER_SECOND
             )
             records['valid'] = valid
             names = self._wire[topic].value_fields
             for name, column in zip(names, values, strict=True):
                 records[name] = column
-            name = f'/{topic.name}'
-            account = self._account.topics[topic]
-            for row, stamp in enumerate(stamps):
-                account.is_new(int(records['tick'][row]), int(records['valid'][row]))
-                messages.append((stamp, order, name, records[row].tobytes()))
-        for row, tick in enumerate(signals.slow_ticks if self._standard_topics else ()):
-            stamp = self._timing.stamp_ns(tick)
-            messages.append((stamp, -2, f'/{CLOCK[0]}', clock_message(stamp)))
-            joints = joint_state_message(
+            self._account.topics[topic].note_all(records['tick'], records['valid'])
+            written.append(Table.of(f'/{topic.name}', stamps_ns, records))
+        self._writer.write_tables(written)
+
+    def _standard(self, signals: Signals) -> list[Table]:
+        """Return the messages of the standard topics, which come first at their ticks."""
+        stamps_ns = self._timing.stamps_ns(np.asarray(signals.slow_ticks, np.int64))
+        clocks = [clock_message(stamp) for stamp in stamps_ns.tolist()]
+        joints = [
+            joint_state_message(
                 stamp,
                 AXES,
                 signals.joint_position[row].tolist(),
                 signals.joint_velocity[row].tolist(),
             )
-            messages.append((stamp, -1, f'/{JOINT_STATES[0]}', joints))
-        messages.sort(key=lambda message: message[:2])
-        for stamp, _, name, data in messages:
-            self._writer.write(name, stamp, data)
+            for row, stamp in enumerate(stamps_ns.tolist())
+        ]
+        return [
+            Table.of_messages(f'/{topic[0]}', stamps_ns, messages)
+            for topic, messages in ((CLOCK, clocks), (JOINT_STATES, joints))
+            if messages
+        ]
 
     def close(self, ticks: int, failure: str = '') -> str:
         """Close the recording; return the line that says whether it is complete, or raise `failure`."""

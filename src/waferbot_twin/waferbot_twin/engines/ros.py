@@ -30,7 +30,7 @@ from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import FAREWELL_S, SIGN_OF_LIFE_PERIOD_S, make_executor
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.transport import DISCOVERY, PROFILES, choose_transport
-from waferbot_twin.engines.domain import Domain
+from waferbot_twin.engines.domain import Domain, check_loopback
 from waferbot_twin.engines.layout import (
     CHANNEL,
     TOPICS,
@@ -76,6 +76,8 @@ def run(
     """
     options = options or RosOptions()
     check_names(options)
+    if not options.composed:
+        check_loopback()
     with contextlib.ExitStack() as stack:
         domain = Domain(options.domain)
         stack.callback(domain.release)

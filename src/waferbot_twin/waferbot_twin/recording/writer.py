@@ -2,11 +2,11 @@
 """
 Writes a recording: a folder with `metadata.yaml` and one `.mcap`, as `ros2 bag` does.
 
-Messages go to the file in chunks of some thousand, which are flushed as they are made, so that a run
-that is killed loses only its last moments. A thread of its own makes them: whoever writes a message
-only puts it aside, and does not wait for compression or the disk unless they are far behind. What the
-run was made from (model, experiment, parameters, seed, versions) is attached at the beginning, before
-the first message.
+Messages go to the file in chunks of a quarter of a megabyte, which are flushed as they are made, so
+that a run that is killed loses only its last moments. A thread of its own makes them: whoever writes a
+message only puts it aside, and does not wait for compression or the disk unless they are far behind.
+What the run was made from (model, experiment, parameters, seed, versions) is attached at the
+beginning, before the first message.
 """
 
 from __future__ import annotations
@@ -16,27 +16,55 @@ import json
 import os
 import queue
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.output_folder import OutputFolder
-from waferbot_twin.recording.mcap_file import McapFile, Message
+from waferbot_twin.recording.mcap_writer import Batch, McapWriter, Message
 
-CHUNK_MESSAGES = 2048
-"""About a quarter of a megabyte, and 0.04 s of a run."""
+CHUNK_BYTES = 1 << 18
 
-WAITING_CHUNKS = 8
-"""How many chunks may wait for the disk; then so does whoever writes."""
+PUT_ASIDE = 1024
+"""How many messages are put aside before they are handed over; 0.02 s of a run."""
+
+WAITING = 16
+"""How much of what was handed over may wait for the disk; then so does whoever writes."""
 
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Messages of a topic: their stamps (n,), ascending, and their bytes, `rows` (n, width), in CDR."""
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    rows: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, topic: str, stamps_ns: NDArray[np.int64], records: np.ndarray) -> Table:
+        """Return the table of a structured array (n,) whose elements are the messages byte by byte."""
+        rows = np.frombuffer(records.tobytes(), np.uint8)
+        return cls(topic, stamps_ns, rows.reshape(len(records), records.dtype.itemsize))
+
+    @classmethod
+    def of_messages(
+        cls, topic: str, stamps_ns: NDArray[np.int64], messages: Sequence[bytes]
+    ) -> Table:
+        """Return the table of messages that are equally long."""
+        content = np.frombuffer(b''.join(messages), np.uint8)
+        return cls(topic, stamps_ns, content.reshape(len(messages), -1))
 
 
 class RecordingWriter:
@@ -66,31 +94,42 @@ class RecordingWriter:
         """Open the file and write all that comes before the first message."""
         self._topics: dict[str, dict[str, Any]] = {}
         self._channels: dict[str, int] = {}
-        self._messages: list[Message] = []
+        self._aside: list[Message] = []
         with self._told():
             self._file = (self._output.folder / self._file_name).open('xb')
-            self._mcap = McapFile(self._file, 'ros2', 'waferbot')
+            self._writer = McapWriter(self._file, CHUNK_BYTES, 'ros2', 'waferbot')
             for name, text in attachments.items():
                 media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
-                self._mcap.add_attachment(name, media_type, text.encode())
-            self._file.flush()
-            self._begun_bytes = self._file.tell()
+                self._writer.add_attachment(name, media_type, text.encode())
+            self._writer.flush()
+            self._begun_bytes = self._writer.whole_bytes
             self._write_metadata()
-        self._chunks = ChunkThread(self._mcap, self._begun_bytes)
+        self._behind = _Behind()
 
     @property
     def message_count(self) -> int:
-        """How many messages are in the file."""
-        return self._mcap.message_count
+        """How many messages have come so far."""
+        self._hand_over()
+        self._behind.wait()
+        return sum(self._writer.counts.values())
+
+    @property
+    def folder(self) -> Path:
+        """Where files that belong to the recording are to be written before it is closed."""
+        return self._output.folder
 
     def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
         qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
+        definition = full_text(type_name)
         digest = type_hash(type_name)
-        self._channels[name] = self._mcap.add_channel(
+        self._hand_over()
+        self._behind.wait()
+        schema = self._writer.add_schema(type_name, 'ros2msg', definition.encode())
+        self._channels[name] = self._writer.add_channel(
             name,
-            type_name,
-            full_text(type_name),
+            'cdr',
+            schema,
             {
                 'offered_qos_profiles': yaml.safe_dump(qos, sort_keys=False),
                 'topic_type_hash': digest,
@@ -110,30 +149,47 @@ class RecordingWriter:
 
         Raises `UserError` if one of those before could not be written.
         """
-        self._messages.append((self._channels[topic], stamp_ns, data))
-        if len(self._messages) >= CHUNK_MESSAGES:
+        self._aside.append((self._channels[topic], stamp_ns, data))
+        if len(self._aside) >= PUT_ASIDE:
             self._hand_over()
 
+    def write_tables(self, tables: Sequence[Table]) -> None:
+        """
+        Append messages of several topics by time, at equal times in the order of the tables.
+
+        Raises as `write` does.
+        """
+        batches = [
+            Batch(self._channels[one.topic], one.stamps_ns, one.rows)
+            for one in tables
+            if len(one.stamps_ns)
+        ]
+        if batches:
+            self._hand_over()
+            with self._told():
+                self._behind.do(lambda: self._writer.add_batches(batches))
+
     def _hand_over(self) -> None:
-        messages, self._messages = self._messages, []
-        with self._told():
-            self._chunks.add(messages)
+        """Have the messages written that were put aside."""
+        messages, self._aside = self._aside, []
+        if messages:
+            with self._told():
+                self._behind.do(lambda: self._writer.add_messages(messages))
 
     def close(self, summary: Mapping[str, str]) -> None:
         """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
         if self._file.closed:
             return
+        self._hand_over()
         with self._told():
-            self._hand_over()
-            self._chunks.finish()
-            self._mcap.add_metadata('waferbot', dict(summary))
-            self._mcap.add_metadata(
+            self._behind.finish()
+            self._writer.add_metadata('waferbot', dict(summary))
+            self._writer.add_metadata(
                 'rosbag2',
                 {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
             )
-            self._mcap.finish()
+            self._writer.finish()
             atomic_files.flush_to_disk(self._file)
-            self._chunks.whole_bytes = self._file.tell()
             self._file.close()
             self._write_metadata()
 
@@ -156,7 +212,7 @@ class RecordingWriter:
         else:
             mine = False
         self._output.worth_keeping = (
-            self.message_count > 0 and self._chunks.whole_bytes > self._begun_bytes
+            any(self._writer.counts.values()) and self._writer.whole_bytes > self._begun_bytes
         )
         self._output.__exit__(kind, error, traceback)
         if mine and error is not None:
@@ -164,11 +220,11 @@ class RecordingWriter:
 
     def _cut_off(self) -> None:
         """Cut the file behind the last whole record that is in it, as the disk is full."""
-        self._chunks.abandon()
+        self._behind.end()
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError):
-            os.truncate(self._output.folder / self._file_name, self._chunks.whole_bytes)
+            os.truncate(self._output.folder / self._file_name, self._writer.whole_bytes)
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
@@ -182,18 +238,20 @@ class RecordingWriter:
         return UserError(f'{self.path} cannot be written: {error.strerror or error}')
 
     def _information(self) -> dict[str, Any]:
-        mcap = self._mcap
+        counts, last_ns = self._writer.counts, self._writer.last_ns
+        count = sum(counts.values())
+        start_ns = self._writer.first_ns if count else 0
         span = {
-            'starting_time': {'nanoseconds_since_epoch': mcap.first_ns},
-            'duration': {'nanoseconds': mcap.last_ns - mcap.first_ns},
-            'message_count': self.message_count,
+            'starting_time': {'nanoseconds_since_epoch': start_ns},
+            'duration': {'nanoseconds': max(0, last_ns - start_ns)},
+            'message_count': count,
         }
         return {
             'version': 9,
             'storage_identifier': 'mcap',
             **span,
             'topics_with_message_count': [
-                {'topic_metadata': topic, 'message_count': mcap.counts[self._channels[name]]}
+                {'topic_metadata': topic, 'message_count': counts.get(self._channels[name], 0)}
                 for name, topic in self._topics.items()
             ],
             'compression_format': '',
@@ -212,34 +270,36 @@ class RecordingWriter:
         atomic_files.write_text(self._output.folder / 'metadata.yaml', text)
 
 
-class ChunkThread:
+class _Behind:
     """
-    Writes chunks of messages to a file, one after another, behind the back of whoever has them.
+    Does one thing after another in a thread of its own.
 
-    `whole_bytes` is how long the file is up to the last chunk that is wholly in it.
+    After one that could not be done nothing more is; its error is raised to whoever asks next.
     """
 
-    def __init__(self, file: McapFile, whole_bytes: int) -> None:
-        """Begin with a file of which `whole_bytes` are there."""
-        self.whole_bytes = whole_bytes
-        self._file = file
+    def __init__(self) -> None:
+        """Begin with nothing to do."""
         self._trouble: Exception | None = None
-        self._waiting: queue.Queue[list[Message] | None] = queue.Queue(WAITING_CHUNKS)
+        self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING)
         self._thread = threading.Thread(target=self._work, name='recording', daemon=True)
         self._thread.start()
 
-    def add(self, messages: list[Message]) -> None:
-        """Have messages written; raises the error with which those before could not be."""
+    def do(self, action: Callable[[], None]) -> None:
+        """Have something done; waits while too much is still to do."""
         self._raise_trouble()
-        self._waiting.put(messages)
+        self._waiting.put(action)
+
+    def wait(self) -> None:
+        """Wait until all is done."""
+        self._waiting.join()
 
     def finish(self) -> None:
-        """Wait until all is written; raises as `add` does."""
-        self.abandon()
+        """Wait until all is done, end, and raise what could not be done."""
+        self.end()
         self._raise_trouble()
 
-    def abandon(self) -> None:
-        """End the thread."""
+    def end(self) -> None:
+        """End behind what is still to do; may be called again."""
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join()
@@ -249,13 +309,17 @@ class ChunkThread:
             raise self._trouble
 
     def _work(self) -> None:
-        while (messages := self._waiting.get()) is not None:
-            if self._trouble is not None:
-                continue
+        more = True
+        while more:
+            action = self._waiting.get()
+            more = action is not None
             try:
-                self.whole_bytes = self._file.add_messages(messages)
-            except Exception as error:  # raised in the thread that writes messages
+                if action is not None and self._trouble is None:
+                    action()
+            except Exception as error:  # raised to whoever asks next
                 self._trouble = error
+            finally:
+                self._waiting.task_done()
 
 
 def _reason(error: BaseException | None) -> str:

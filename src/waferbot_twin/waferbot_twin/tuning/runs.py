@@ -83,6 +83,8 @@ def _of_steps(response: AxisResponse) -> tuple[float, float]:
     figures = []
     for jump, end_s in zip(jumps, ends, strict=True):
         found = response.one_step(int(jump), float(end_s))
+        if found is None:
+            return math.nan, math.nan
         settling = found.settling_time
         figures.append(
             (settling if math.isfinite(settling) else math.inf, found.overshoot_percent)
