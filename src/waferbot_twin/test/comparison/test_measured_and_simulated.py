@@ -155,6 +155,7 @@ def test_a_text_is_told_to_be_imported_first(tmp_path, capsys) -> None:
         assert f'waferbot import {path}' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     'command',
     [
@@ -207,6 +208,7 @@ def test_figures_of_an_imported_log_are_those_of_the_recording(folder, capsys) -
             )
 
 
+@pytest.mark.slow
 def test_a_run_compared_with_the_log_of_the_same_machine_differs_by_nothing(
     folder, capsys
 ) -> None:

@@ -85,6 +85,7 @@ def by_control(variant, pose, axis):
     return min(gains_db, key=abs), phase
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ('model', 'pose', 'axis', 'gains'),
     [
