@@ -27,6 +27,8 @@ LONG = tuple(
             'waferbot suggest',
             'waferbot calibrate --quick',
             'waferbot conform',
+            'waferbot tune --model as_built --experiment',
+            'waferbot tune --model flexible --also',
         )
     )
 )

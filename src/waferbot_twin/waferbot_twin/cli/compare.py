@@ -38,6 +38,7 @@ EXAMPLES = (
     'waferbot run --experiment step_x_rotate --model rigid --engine inprocess --out runs/rigid',
     'waferbot run --experiment step_x_rotate --model flexible --engine inprocess --out runs/flexible',
     'waferbot compare runs/flexible runs/rigid',
+    'waferbot compare logs/measured --model rigid --out overlays/compared',
 )
 """What `--help` shows; tests run them."""
 

@@ -41,6 +41,7 @@ from waferbot_twin.recording.reader import Recording, header_of, read_recording
 EXAMPLES = (
     'waferbot replay runs/step --node pmac',
     'waferbot replay runs/step --node plant --model rigid --json',
+    'waferbot replay logs/measured --model as_built --out overlays/replayed',
 )
 """What `--help` shows; tests run them."""
 
