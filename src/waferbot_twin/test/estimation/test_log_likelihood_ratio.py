@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio
-from waferbot_twin.noise_model.prediction_error import Noise, likelihood, log_likelihood_with
+from waferbot_twin.noise_model.prediction_error import Noise, likelihood, log_likelihoods_with
 
 SEED = 20261125
 PLANT, CONTROLLER = 'plant', 'controller'
@@ -36,7 +36,8 @@ def test_another_noise_model_of_the_same_residual_is_no_reason():
     suited = hypothesis(residual)
     unsuited = hypothesis(residual, noise_of=coloured(random, -0.5))
     right, wrong = (
-        log_likelihood_with(one.fits[PLANT].colours, [residual]) for one in (suited, unsuited)
+        sum(log_likelihoods_with(one.fits[PLANT].colours, [residual]))
+        for one in (suited, unsuited)
     )
     assert right > wrong + 100.0
     assert log_likelihood_ratio(suited, unsuited) == 0.0

@@ -28,7 +28,9 @@ from waferbot_twin.noise_model.residual_spectrum import (
     cosines,
     covariance,
     flattened,
+    log_likelihood_ratio_in,
     power_along,
+    powers_along,
     spectrum,
 )
 
@@ -114,6 +116,21 @@ def test_logs_add_their_degrees_of_freedom():
     assert COSINES < power.freedom <= 3 * COSINES
     one_only = [same[0], np.zeros_like(same[1]), np.zeros_like(same[2])]
     assert power_along(left, one_only, colours).freedom == pytest.approx(COSINES)
+
+
+def test_what_lacks_in_one_channel_does_not_hide_what_another_one_shows():
+    """A second log in which something large is left over adds nothing, and takes nothing away."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    clean = random.normal(size=SAMPLES)
+    colours = likelihood([clean, clean], [Noise(1e-9, ORDER)] * 2).colours
+    change = in_deviations(colours, [DIRECTIONS['a fast one']] * 2)
+    clean, disturbed = in_deviations(colours, [clean, 30.0 * MOVES * DIRECTIONS['a fast one']])
+    alone = log_likelihood_ratio_in(powers_along([clean], change[:1], colours[:1]), [50.0])
+    both = log_likelihood_ratio_in(powers_along([clean, disturbed], change, colours), [50.0, 50.0])
+    assert alone <= both < alone + 1.0
+    pooled = power_along([clean, disturbed], change, colours)
+    assert pooled.log_likelihood_ratio(100.0) < 0.1 * alone
 
 
 def test_a_channel_that_follows_to_the_last_bit_has_its_floor_and_nothing_to_estimate():

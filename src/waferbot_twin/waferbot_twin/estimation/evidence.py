@@ -5,9 +5,9 @@ How much more the logs speak for one set of causes than for another.
 **Gain.** Two hypotheses A and B leave the residuals r_A and r_B over and have the likelihood ratio
 L_A / L_B (`hypothesis.log_likelihood_ratio`). With the difference d = r_B - r_A and the power lambda
 of what A leaves over along d, both filtered by the noise model of A, known with nu degrees of freedom
-(`noise_model.residual_spectrum.power_along`),
+(`noise_model.residual_spectrum.powers_along`), in every channel,
 
-    G = (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                                          (1)
+    G = sum over channels of (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                     (1)
 
 is the logarithm of their likelihood ratio. Where the noise model is right, lambda is 1, nu large
 and G the usual one; where A lacks something, or noise has another colour, the working likelihood
@@ -37,9 +37,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio, parameters_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
-from waferbot_twin.noise_model.residual_spectrum import power_along
+from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratio_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -70,15 +70,15 @@ def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool, power_kno
         before = in_deviations(fit.colours, other.residuals[block])
         changes = [one - two for one, two in zip(before, left, strict=True)]
         if noise_known or not any(colour.error.order for colour in fit.colours):
-            squares = sum(
+            squares = [
                 float(one @ one) - float(two @ two) for one, two in zip(before, left, strict=True)
-            )
+            ]
         else:
-            squares = 2.0 * log_likelihood_ratio(this, other, (block,))
-        if squares != 0.0:
-            power = power_along(left, changes, fit.colours)
-            power = power.as_if_known if power_known else power
-            total += power.log_likelihood_ratio(squares)
+            squares = [2.0 * ratio for ratio in log_likelihood_ratios(this, other, block)]
+        powers = powers_along(left, changes, fit.colours)
+        if power_known:
+            powers = [power.as_if_known for power in powers]
+        total += log_likelihood_ratio_in(powers, squares)
     return total
 
 

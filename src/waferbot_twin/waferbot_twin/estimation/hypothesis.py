@@ -10,7 +10,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.noise_model.prediction_error import Fit, log_likelihood_with
+from waferbot_twin.noise_model.prediction_error import Fit, log_likelihoods_with
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
@@ -55,17 +55,22 @@ def log_likelihood_ratio(
     leaves more at low frequencies, a larger slow noise is found, and that suits either residual better.
     Antisymmetric.
     """
-    total = 0.0
-    for block in this.fits if blocks is None else blocks:
-        both = this.fits[block], other.fits[block]
-        if both[0] is both[1]:
-            continue
-        mine, others = (
-            max(log_likelihood_with(fit.colours, item.residuals[block]) for fit in both)
-            for item in (this, other)
-        )
-        total += mine - others
-    return total
+    return sum(
+        sum(log_likelihood_ratios(this, other, block))
+        for block in (this.fits if blocks is None else blocks)
+    )
+
+
+def log_likelihood_ratios(this: Hypothesis, other: Hypothesis, block: str) -> list[float]:
+    """Return equation (1) of a block channel by channel, each with that of the noise models' choice."""
+    both = this.fits[block], other.fits[block]
+    if both[0] is both[1]:
+        return [0.0] * len(both[0].colours)
+    mine, others = (
+        max((log_likelihoods_with(fit.colours, item.residuals[block]) for fit in both), key=sum)
+        for item in (this, other)
+    )
+    return [one - two for one, two in zip(mine, others, strict=True)]
 
 
 def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:

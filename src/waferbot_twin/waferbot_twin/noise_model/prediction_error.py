@@ -297,7 +297,7 @@ def _result(
     return Fit(
         value,
         covariance,
-        _log_likelihood(in_units, colours),
+        sum(_log_likelihoods(in_units, colours)),
         sum(len(white) for white in in_units),
         tuple(in_units),
         tuple(colours),
@@ -305,17 +305,17 @@ def _result(
     )
 
 
-def log_likelihood_with(colours: Sequence[Colour], channels: Sequence[Array]) -> float:
-    """Return how likely channels are, ln L up to a constant, with noise of given colours."""
-    return _log_likelihood(in_deviations(colours, channels), colours)
+def log_likelihoods_with(colours: Sequence[Colour], channels: Sequence[Array]) -> list[float]:
+    """Return how likely each channel is, ln L up to a constant, with noise of given colours."""
+    return _log_likelihoods(in_deviations(colours, channels), colours)
 
 
-def _log_likelihood(in_units: Sequence[Array], colours: Sequence[Colour]) -> float:
+def _log_likelihoods(in_units: Sequence[Array], colours: Sequence[Colour]) -> list[float]:
     # <w^2> is s^2, unless the deviation is held up by the floor or is that of other residuals.
-    return -sum(
-        len(white) * (math.log(colour.deviation) + 0.5 * (float(np.mean(white**2)) - 1.0))
+    return [
+        -len(white) * (math.log(colour.deviation) + 0.5 * (float(np.mean(white**2)) - 1.0))
         for white, colour in zip(in_units, colours, strict=True)
-    )
+    ]
 
 
 def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:

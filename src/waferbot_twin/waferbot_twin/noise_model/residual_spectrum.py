@@ -127,37 +127,63 @@ class Power:
         return math.copysign(own, squares)
 
 
-def power_along(
+def powers_along(
     left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
-) -> Power:
+) -> list[Power]:
     """
-    Return the power of the noise in a direction d, white noise of unit variance having 1:
+    Return the power of the noise in a direction d, channel by channel, white noise having 1:
 
-        lambda = sum over c of J_c / sum of |d_c|^2,                                            (1)
-        J_c = 1/K sum over k of (sum over n of q_k d_c e_c)^2.
+        lambda = J / |d|^2,      J = 1/K sum over k of (sum over n of q_k d e)^2.               (1)
 
     `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as
     `colours` say; q_k are the first K cosines over the samples. J is the long-run variance of d e
     (E. Lazarus, D. Lewis, J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018:
     equal-weighted cosines), right whatever the colour of e, and where e is larger while the axis
-    moves. It has K degrees of freedom in a channel, and nu = (sum J_c)^2 / sum(J_c^2 / K) in all
-    (Satterthwaite). Of a channel that follows to the last bit, where no noise is, J_c is |d_c|^2
-    and exact. lambda is not less than 1: of many directions that are tried a fit takes one in which
-    noise happened to be weak.
+    moves. It has K degrees of freedom. Of a channel that follows to the last bit, where no noise is,
+    lambda is 1 and exact. lambda is not less than 1: of many directions that are tried a fit takes one
+    in which noise happened to be weak.
     """
-    total = noisy = uncertain = 0.0
+    found = []
     for white, change, colour in zip(left, changes, colours, strict=True):
         square = float(change @ change)
-        total += square
         if square == 0.0 or not colour.error.order:
-            noisy += square
+            found.append(Power(1.0, math.inf))
             continue
         own = float(np.mean((cosines(len(white)).T @ (change * white)) ** 2))
+        found.append(Power(max(own / square, 1.0), float(COSINES)))
+    return found
+
+
+def log_likelihood_ratio_in(powers: Sequence[Power], squares: Sequence[float]) -> float:
+    """
+    Return ln of the likelihood ratio of a change that lowers each channel's sum of squares by so much.
+
+    What lacks on one axis, or in one log, says nothing of the power in another one.
+    """
+    return sum(
+        power.log_likelihood_ratio(square) for power, square in zip(powers, squares, strict=True)
+    )
+
+
+def power_along(
+    left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
+) -> Power:
+    """
+    Return equation (1) of all channels together: lambda = sum of J_c / sum of |d_c|^2.
+
+    With nu = (sum J_c)^2 / sum(J_c^2 / K) degrees of freedom (Satterthwaite): of a size that is the same
+    in all channels.
+    """
+    total = noisy = uncertain = 0.0
+    for change, power in zip(changes, powers_along(left, changes, colours), strict=True):
+        square = float(change @ change)
+        own = power.value * square
+        total += square
         noisy += own
-        uncertain += own**2 / COSINES
+        uncertain += own**2 / power.freedom
     if noisy <= 0.0:
         return Power(1.0, math.inf)
-    return Power(max(noisy / total, 1.0), noisy**2 / uncertain if uncertain > 0.0 else math.inf)
+    return Power(noisy / total, noisy**2 / uncertain if uncertain > 0.0 else math.inf)
 
 
 def covariance(system: Array, estimate: Fit) -> Array:

@@ -50,8 +50,8 @@ from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
-ROUNDING = 1e-6
-"""Of a probability."""
+ROUNDING = 0.01
+"""Of a probability: fits end where a round gains some hundredths in ln L."""
 
 PASSES = 2
 """How often at most every effect is asked for anew."""

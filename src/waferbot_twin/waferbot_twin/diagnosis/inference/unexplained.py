@@ -33,7 +33,7 @@ from waferbot_twin.diagnosis.inference.single_effects import Posterior
 from waferbot_twin.effects.places import motor_axes
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import in_deviations
-from waferbot_twin.noise_model.residual_spectrum import power_along
+from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratio_in, powers_along
 from waferbot_twin.residuals.noise_free_motion import Motion, motions
 from waferbot_twin.residuals.problem import PLANT, Channel, Problem
 from waferbot_twin.residuals.record import Array
@@ -133,11 +133,13 @@ def _dependence(
     explained = rows / scale @ solution
     cuts = np.cumsum([len(one) for one in left])[:-1]
     rest = np.split(whole - explained, cuts)
-    squares = float(whole @ whole) - sum(float(one @ one) for one in rest)
-    power = power_along(rest, np.split(explained, cuts), [fit.colours[place] for place in places])
+    squares = [float(one @ one) - float(two @ two) for one, two in zip(left, rest, strict=True)]
+    powers = powers_along(
+        rest, np.split(explained, cuts), [fit.colours[place] for place in places]
+    )
     rank = np.linalg.matrix_rank(rows / scale, 1e-8)
-    gained = power.log_likelihood_ratio(squares)
-    return gained - 0.5 * float(rank) * math.log(len(whole)), squares / float(whole @ whole)
+    gained = log_likelihood_ratio_in(powers, squares)
+    return gained - 0.5 * float(rank) * math.log(len(whole)), sum(squares) / float(whole @ whole)
 
 
 def _columns(motion: Motion, times_s: Array) -> Array:

@@ -35,7 +35,7 @@ from waferbot_twin.estimation.stacked_least_squares import by_channel, fit_joint
 from waferbot_twin.noise_model.prediction_error import (
     Colour,
     in_deviations,
-    log_likelihood_with,
+    log_likelihoods_with,
     whitened,
 )
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -345,6 +345,7 @@ def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
     # Compared with the same noise models: `hypothesis.log_likelihood_ratio`.
     colours = found.colours, _colours_of(base, change)
     after, as_it_was = (
-        max(log_likelihood_with(one, channels) for one in colours) for channels in (left, before)
+        max(sum(log_likelihoods_with(one, channels)) for one in colours)
+        for channels in (left, before)
     )
     return 2.0 * (after - as_it_was)

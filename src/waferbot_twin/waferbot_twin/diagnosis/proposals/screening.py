@@ -19,8 +19,8 @@ factor; so is that of an effect whose size the logs show themselves.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -34,14 +34,18 @@ from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     in_quick_steps,
-    log_likelihood_ratio,
+    log_likelihood_ratios,
     parameters_of,
     signature,
     whole_change,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
-from waferbot_twin.noise_model.residual_spectrum import Power, power_along
+from waferbot_twin.noise_model.residual_spectrum import (
+    log_likelihood_ratio_in,
+    power_along,
+    powers_along,
+)
 from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -59,12 +63,13 @@ class Change:
 
     Of one that begins where there is a little, `begun` is the model with that, about which the
     signature is, with its own noise: a part that lets go changes what an observer follows. `gained`
-    is by how much, in 2 ln L, it is likelier than the model without. Of most there is none.
+    is by how much, in 2 ln L, each channel (block and number) is likelier than in the model without. Of
+    most there is none.
     """
 
     signature: Signature
     begun: Hypothesis | None = None
-    gained: float = 0.0
+    gained: Mapping[tuple[str, int], float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -176,7 +181,11 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
     return Change(
         signature(problem, begun, causes, len(causes) - 1),
         begun,
-        2.0 * log_likelihood_ratio(begun, without, blocks),
+        {
+            (block, number): 2.0 * ratio
+            for block in blocks
+            for number, ratio in enumerate(log_likelihood_ratios(begun, without, block))
+        },
     )
 
 
@@ -210,7 +219,8 @@ def _screen(
     of_base: Sequence[Signature],
     scales: Sequence[float],
 ) -> list[Screened]:
-    together = side_by_side(of_base, [_columns(item) for item in of_base])
+    counts = [len(parameters_of(problem, cause)) for cause in base.causes]
+    together = side_by_side(of_base, counts)
     known: dict[tuple[str, ...], _Known] = {}
     found = []
     for rival, change in asked:
@@ -232,10 +242,6 @@ def _screen(
         if item is not None:
             found.append(item)
     return found
-
-
-def _columns(signature: Signature) -> int:
-    return next(iter(signature.values())).shape[1]
 
 
 _White = dict[str, list[Array]]
@@ -305,26 +311,50 @@ def _without(rows: Array, columns: Array) -> Array:
 
 
 @dataclass(frozen=True)
+class _Gain:
+    """What a change gains in ln L, and in noise whose power is known (`Screened`)."""
+
+    score: float
+    likelihood: float
+
+    @classmethod
+    def of(
+        cls, known: _Known, left: list[Array], change: list[Array], already: Sequence[float]
+    ) -> _Gain:
+        """Take what is left over with the change, and what every channel had gained before."""
+        powers = powers_along(left, change, known.colours)
+        squares = [
+            more + float(one @ one) - float(two @ two)
+            for more, one, two in zip(already, known.before, left, strict=True)
+        ]
+        return cls(
+            log_likelihood_ratio_in(powers, squares),
+            log_likelihood_ratio_in([power.as_if_known for power in powers], squares),
+        )
+
+    def screened(self, rival: Cause, value: Array, occam: float) -> Screened:
+        """Return a candidate with its evidence."""
+        return Screened(rival, self.score + occam, value, self.likelihood + occam)
+
+
+@dataclass(frozen=True)
 class _Linear:
     """
     Least squares of white residuals on a candidate's signature beside that of the known causes.
 
     `value` (k,) of the candidate's parameters, their `spread` (k, k) in noise of the power along
-    what the fit changes, known to be `power`; by how much the sum of squares falls, and by how
-    much with the candidate's signature as large as it is, in noise of the power `as_it_is`;
+    what the fit changes; what that `gains`, and what the candidate's signature as large as it is;
     `square` that of the whole signature over its power.
     """
 
     value: Array
     spread: Array
-    power: Power
-    squares: float
     square: float
-    as_it_is: Power
-    squares_as_it_is: float
+    fitted: _Gain
+    as_it_is: _Gain
 
     @classmethod
-    def of(cls, known: _Known, own: _White, gained: float) -> _Linear:
+    def of(cls, known: _Known, own: _White, gained: Mapping[tuple[str, int], float]) -> _Linear:
         """
         Fit `own` beside what is known, about a hypothesis which has `gained` so much already.
 
@@ -338,34 +368,27 @@ class _Linear:
         inverse = np.linalg.pinv((alone / scale).T @ (alone / scale), rcond=1e-10, hermitian=True)
         value = -inverse @ ((alone / scale).T @ known.left) / scale
         after = known.left + alone @ value
-        power = power_along(
-            known.split(after), known.split(np.concatenate(known.before) - after), known.colours
-        )
-        began = sum(float(one @ one) for one in known.before)
+        change = known.split(np.concatenate(known.before) - after)
+        power = power_along(known.split(after), change, known.colours)
         first = [part[:, 0] for part in known.split(rows)]
         moved = [one + part for one, part in zip(known.before, first, strict=True)]
+        already = [gained.get(place, 0.0) for place in known.places]
         return cls(
             value,
             power.value * inverse / np.outer(scale, scale),
-            power,
-            gained + began - float(after @ after),
             sum(float(part @ part) for part in first) / power.value,
-            power_along(moved, first, known.colours),
-            began - sum(float(one @ one) for one in moved),
+            _Gain.of(known, known.split(after), change, already),
+            _Gain.of(known, moved, first, [0.0] * len(moved)),
         )
 
     def as_a_whole(self, rival: Cause) -> Screened | None:
         """Return the evidence for a candidate whose signature is all that it changes at its values."""
-        fitted = self.power, self.squares
-        as_it_is = self.as_it_is, self.squares_as_it_is
-        better = as_it_is[1] / as_it_is[0].value > fitted[1] / fitted[0].value
+        better = self.as_it_is.likelihood > self.fitted.likelihood
         if self.value[0] <= 0.0 and not better:
             return None
         # Half of the steps that readings show themselves is not to be had.
-        power, squares = as_it_is if better or rival.effect.evident else fitted
-        return _screened(
-            rival, np.zeros(rival.free), power, squares, -0.5 * math.log1p(self.square)
-        )
+        gain = self.as_it_is if better or rival.effect.evident else self.fitted
+        return gain.screened(rival, np.zeros(rival.free), -0.5 * math.log1p(self.square))
 
     def with_values(
         self, problem: Problem, rival: Cause, scales: Sequence[float]
@@ -385,21 +408,12 @@ class _Linear:
             self.spread[np.ix_(shown, shown)],
             scales,
         )
-        return _screened(rival, self.value, self.power, self.squares, occam)
+        return self.fitted.screened(rival, self.value, occam)
 
 
 def untempered(rival: Cause, evidence: float) -> Screened:
     """Return a candidate at its values with ln BF in noise as the noise model has it."""
     return Screened(rival, evidence, np.zeros(rival.free), evidence)
-
-
-def _screened(rival: Cause, value: Array, power: Power, squares: float, occam: float) -> Screened:
-    return Screened(
-        rival,
-        power.log_likelihood_ratio(squares) + occam,
-        value,
-        0.5 * squares / power.value + occam,
-    )
 
 
 def _tried_as_a_whole(problem: Problem, rival: Cause) -> bool:
