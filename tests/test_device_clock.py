@@ -64,7 +64,7 @@ class Device:
 
 def begin(start, connect, out, policy):
     """Start a twin without a controller, and a device that has given its first command."""
-    run = ['run', '--without', 'pmac', '--device-clock', policy, '--device-timeout', '1.5']
+    run = ['run', '--without', 'pmac', '--device-clock', policy, '--device-timeout', '3']
     twin = start(
         'waferbot_twin', *run, '--experiment', 'constant', '--duration', '0.2', '--out', str(out)
     )
@@ -90,8 +90,8 @@ def test_each_command_is_one_cycle_and_silence_holds_time(start, connect, tmp_pa
     for cycle in range(1, 101):
         device.give(cycle)
     device.wait_for(808)
-    device.stands(808, 4.0)  # longer than any peer may be silent in lock-step
-    assert 'the device is silent: no current_command for 1.' in twin.output
+    device.stands(808, 5.0)  # longer than any peer may be silent in lock-step
+    assert 'the device is silent: no current_command for ' in twin.output
     assert end(twin, device, 101) == 0, twin.output
     recording = read_recording(out)
     assert recording.summary['complete'] == 'true'
@@ -122,13 +122,16 @@ def test_silence_may_be_an_error(start, connect, tmp_path):
     device.client.spin_until(lambda: twin.process.poll() is not None, 'the end', 30.0)
     assert twin.process.returncode == 1
     assert re.search(
-        r'copley stopped at tick 88: the device is silent: no current_command for 1\.\d s at tick 88',
+        r'copley stopped at tick 88: the device is silent: no current_command for \d+\.\d s at tick 88',
         twin.output,
     ), twin.output
 
 
 def test_our_own_pmac_as_the_clock_gives_the_same_bits(tmp_path, recorded):
-    one = run_engine('ros', tmp_path / 'run', device_clock='fault', compose=['plant', 'copley'])
+    one = run_engine(
+        'ros', tmp_path / 'run', device_clock='fault', device_timeout_s=60.0,
+        compose=['plant', 'copley'],
+    )  # fmt: skip
     for topic in LOCKSTEP_TOPICS:
         np.testing.assert_array_equal(one[topic], recorded('inprocess')[topic])
     assert len(one[CURRENT_COMMAND]) == 1125
