@@ -132,8 +132,8 @@ def describe(path: Path, progress: Progress | None = None) -> dict[str, Any]:
     """
     Return what a recording holds as plain values; it is read piece by piece.
 
-    `missing` says how many places of messages lack between tick 0 and the last recorded tick. Raises
-    `UserError`.
+    `missing` says how many places of messages lack between tick 0 and the end that the recorder tells
+    (a run may be broken off within a tick), or the last recorded tick. Raises `UserError`.
     """
     header = header_of(path)
     timing = header.timing
@@ -148,7 +148,9 @@ def describe(path: Path, progress: Progress | None = None) -> dict[str, Any]:
     recording = stream_recording(path, take, progress)
     ticks = last_tick + 1
     sim_s = timing.seconds(ticks)
-    missing = sum(account.missing(ticks).values())
+    told = recording.summary.get('ticks', '')
+    end = int(told) if told.isdecimal() and len(told) < 16 else ticks
+    missing = sum(account.missing(end).values())
     if not recording.closed:
         state = f'cut off: the recorder did not end; readable up to tick {ticks - 1}'
     else:
