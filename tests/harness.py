@@ -142,9 +142,14 @@ def waferbot(*arguments: str, **environment: str) -> subprocess.CompletedProcess
 
 def output_of(*arguments: Any) -> str:
     """Return what one command of waferbot prints, which must succeed; it may take its time."""
-    done = _run([str(word) for word in arguments], {}, LONG_PATIENCE_S)
+    done = patiently(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def patiently(*arguments: Any) -> subprocess.CompletedProcess[str]:
+    """Run one command of waferbot that may take its time."""
+    return _run([str(word) for word in arguments], {}, LONG_PATIENCE_S)
 
 
 def _run(

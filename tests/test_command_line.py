@@ -101,6 +101,14 @@ MISTAKES = {
         ('run', '--engine', 'composed', '--without', 'pmak', '--duration', '0.01'),
         'pmak',
     ),
+    'nodes without ROS': (
+        (*FAST, '--without', 'pmac'),
+        '--without is for nodes over ROS; with --engine inprocess there are none',
+    ),
+    'nodes beside an FMU': (
+        ('run', '--plant', 'plant.fmu', '--device-clock', 'hold'),
+        '--device-clock is for nodes over ROS; with --plant there are none',
+    ),
 }
 
 
@@ -172,7 +180,10 @@ def on_terminal(*arguments):
 
 def test_a_progress_bar_is_drawn_on_a_terminal_only():
     # With start-up this takes longer than the two seconds after which a bar appears.
-    arguments = ('run', '--engine', 'composed', '--duration', '2', '--experiment', 'constant')
+    arguments = (
+        *('run', '--engine', 'composed', '--delivery', 'topics', '--duration', '4'),
+        *('--experiment', 'constant'),
+    )
     code, drawn = on_terminal(*arguments)
     assert code == 0
     assert 'constant on rigid' in drawn

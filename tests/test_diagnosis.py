@@ -15,7 +15,7 @@ from datetime import datetime, timezone
 
 import numpy as np
 import pytest
-from harness import output_of, run_engine
+from harness import output_of, patiently, run_engine
 
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -66,11 +66,13 @@ def short_motion(tmp_path, axis):
 
 def diagnosis(tmp_path, *logs):
     finding, judging = logs
-    text = output_of(
-        'diagnose', finding, '--validate', judging, '--out', tmp_path / 'report', '--json'
-    )
+    done = patiently(
+        'diagnose', finding, '--validate', judging, '--out', tmp_path / 'report', '--json',
+        '--fail-on', 'cause', '--fail-on', 'unexplained',
+    )  # fmt: skip
     report = json.loads((tmp_path / 'report' / 'report.json').read_text('utf-8'))
-    assert json.loads(text)['verdict'] == report['verdict']
+    assert json.loads(done.stdout)['verdict'] == report['verdict']
+    assert done.returncode == (3 if report['unexplained'] else 4 if report['causes'] else 0)
     return report
 
 

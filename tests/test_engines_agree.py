@@ -6,10 +6,13 @@ from __future__ import annotations
 import random
 
 import pytest
-from harness import run_engine
+from harness import parameter_files, run_engine
 from mcap.stream_reader import StreamReader
+from std_srvs.srv import SetBool
 
+from waferbot_lockstep.contract import ENCODERS_TOPIC, LOCKSTEP_TOPICS, PHASE_VOLTAGES
 from waferbot_lockstep.timing import Timing
+from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.models import model_names
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import recording_file
@@ -52,6 +55,96 @@ def test_standard_messages_are_the_same_bytes(recorded, engine):
     assert stamp == 0
     assert b'<robot name="waferbot">' in description
     assert one == other
+
+
+LAYOUTS = {
+    'composed, all by topics': {'compose': ['plant', 'pmac', 'copley'], 'delivery': 'topics'},
+    'plant and copley composed': {'compose': ['plant', 'copley']},
+    'pmac composed': {'compose': ['pmac']},
+    'plant and copley composed, channel': {
+        'compose': ['plant', 'copley'],
+        'delivery': 'channel',
+    },
+    'three processes, channel': {'delivery': 'channel'},
+    'two amplifiers composed': {
+        'one_copley_per_axis': True,
+        'compose': ['copley_x_rotate', 'copley_y_rotate'],
+    },
+    'plant and one amplifier composed, channel': {
+        'one_copley_per_axis': True,
+        'compose': ['plant', 'copley_x_rotate'],
+        'delivery': 'channel',
+    },
+}
+"""Ways to lay the twin out over processes, and to deliver its messages (options of the ROS engine)."""
+
+
+SHORT_S = 0.1
+"""The step begins at 0.02 s; what differs between layouts is there from the first ticks on."""
+
+
+@pytest.fixture(scope='module')
+def short(tmp_path_factory):
+    """The beginning of the step without ROS."""
+    return run_engine('inprocess', tmp_path_factory.mktemp('short') / 'run', duration_s=SHORT_S)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('options', LAYOUTS.values(), ids=LAYOUTS)
+def test_every_layout_and_delivery_is_bit_identical(short, tmp_path, options):
+    one = run_engine('ros', tmp_path / 'run', duration_s=SHORT_S, **options)
+    assert len(one['phase_currents']) == Timing().ticks(SHORT_S)
+    assert one.summary['complete'] == 'true'
+    assert differing_signals(one, short) == []
+    assert standard_messages(one) == standard_messages(short)
+
+
+PROCESSES = {
+    'one process': [['plant', 'pmac', 'copley']],
+    'plant and copley in one': [['plant', 'copley'], ['pmac']],
+    'plant and copley in one, channel': [['plant', 'copley'], ['pmac'], ['channel']],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('processes', PROCESSES.values(), ids=PROCESSES)
+def test_every_message_is_on_its_topic_in_any_delivery(
+    tmp_path, start, connect, domain, processes
+):
+    """Somebody who knows only ROS gets all of it, while nodes started by hand deliver otherwise."""
+    import waferbot_msgs.msg
+
+    ticks = 800  # fewer messages than the history of a topic holds
+    client = connect(domain)
+    heard = {topic: {} for topic in LOCKSTEP_TOPICS}
+    for topic in LOCKSTEP_TOPICS:
+        decode = WireFormat(topic.type_name).decode
+
+        def take(data, own=heard[topic], decode=decode):
+            tick, _, _, values = decode(data)
+            own[tick] = values
+
+        kind = getattr(waferbot_msgs.msg, topic.message)
+        client.node.create_subscription(kind, topic.name, take, 1024, raw=True)
+    channel = ['--channel', str(tmp_path / 'channel')] if ['channel'] in processes else []
+    for nodes in processes:
+        if nodes != ['channel']:
+            start(
+                'waferbot_twin.composed', *nodes, *channel, '--ros-args', *parameter_files(''),
+                '-p', f'end_tick:={ticks}', '-p', 'plant:start_paused:=true',
+                '-p', 'pmac:experiment:=step',
+                ROS_DOMAIN_ID=str(domain),
+            )  # fmt: skip
+    client.spin_until(lambda: all(heard.values()), 'every topic at tick 0', 40.0)
+    client.call(SetBool, '/plant/pause', SetBool.Request(data=False))
+    for topic, own in heard.items():
+        count = Timing().messages(ticks, topic.ticks_between(Timing()))
+        client.spin_until(lambda own=own, count=count: len(own) >= count, f'all of {topic.name}')
+    same = run_engine('inprocess', tmp_path / 'same', duration_s=ticks / 18000)
+    counts = same[ENCODERS_TOPIC]['counts'].tolist()
+    assert [list(heard[ENCODERS_TOPIC][tick]) for tick in range(0, ticks, 2)] == counts
+    volts = [[*row['voltage'].ravel().tolist(), int(row['open'])] for row in same[PHASE_VOLTAGES]]
+    assert [list(heard[PHASE_VOLTAGES][tick]) for tick in range(ticks)] == volts
 
 
 @pytest.mark.slow
@@ -101,6 +194,33 @@ def test_every_shipped_model_is_the_same_composed(tmp_path, model):
         for engine in ('composed', 'inprocess')
     ]
     assert differing_signals(*runs) == []
+
+
+COMPENSATED = """\
+/**/pmac:
+  ros__parameters:
+    compensation: |
+      axis,over,at,current_a
+      y_linear,position_m,0,0.1
+      y_linear,position_m,0.01,0.7
+      x_rotate,speed_rad_s,-0.1,-2
+      x_rotate,speed_rad_s,0.1,2
+      y_rotate,time_s:wafer_exchange,0.01,0.3
+      y_rotate,time_s:wafer_exchange,0.05,-0.3
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('engine', ['ros', 'composed'])
+def test_compensation_tables_act_in_the_same_cycles(tmp_path, engine):
+    model = tmp_path / 'compensated.yaml'
+    model.write_text(COMPENSATED, 'utf-8')
+    runs = [
+        run_engine(name, tmp_path / name, 'wafer_exchange', model=str(model), duration_s=0.1)
+        for name in (engine, 'inprocess')
+    ]
+    assert differing_signals(*runs) == []
+    assert abs(runs[0]['servo_state']['output'][:, 2]).max() > 200.0
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import time
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
 from harness import (
     PATIENCE_S,
     children_of,
@@ -45,7 +46,9 @@ def long_run(start, out, *arguments):
         return sum(file.stat().st_size for file in out.glob('*.mcap'))
 
     if '--engine' not in arguments:
-        program.find_children(5 if '--copley-per-axis' in arguments else 3)
+        composed = arguments[arguments.index('--compose') + 1] if '--compose' in arguments else ''
+        nodes = 5 if '--copley-per-axis' in arguments else 3
+        program.find_children(nodes - len(composed.split(',')) if composed else nodes)
     wait_until(lambda: bytes_recorded() > 60_000, 'ticks recorded', program)
     return program
 
@@ -81,11 +84,19 @@ MISSED = {
 }
 
 
-@pytest.mark.parametrize('victim', MISSED)
-def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path, victim):
+TWO, CHANNEL = ['--compose', 'plant,copley'], ['--delivery', 'channel']
+KILLED = [
+    *(('plant', []), ('pmac', []), ('copley', []), ('copley_x_rotate', ['--copley-per-axis'])),
+    *(('pmac', TWO + CHANNEL), ('plant', CHANNEL)),
+]
+
+
+@pytest.mark.parametrize(
+    ('victim', 'layout'), KILLED, ids=[' '.join([name, *layout]) for name, layout in KILLED]
+)
+def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path, victim, layout):
     out = tmp_path / 'run'
-    split = ['--copley-per-axis'] if victim.startswith('copley_') else []
-    program = long_run(start, out, *split)
+    program = long_run(start, out, *layout)
     nodes = dict(program.children)
     os.kill(nodes[victim], signal.SIGKILL)
     wait_until_gone(nodes.values())
@@ -195,13 +206,13 @@ class ComposedTwin:
         from waferbot_lockstep.node import make_executor
         from waferbot_plant.node import PlantNode
         from waferbot_pmac.node import PmacNode
-        from waferbot_twin.engines.ros import _overrides
+        from waferbot_twin.engines.members import ros_parameters
         from waferbot_twin.models import load_model
 
         rclpy.init()
         model = load_model('rigid')
         self.nodes = [
-            kind(parameter_overrides=list(_overrides(model.parameters[name])))
+            kind(parameter_overrides=list(ros_parameters(model.parameters[name])))
             for name, kind in (('plant', PlantNode), ('pmac', PmacNode), ('copley', CopleyNode))
         ]
         self.rogue = Node('rogue')
@@ -295,6 +306,7 @@ def test_a_recorder_says_that_a_stranger_is_far_ahead(environment, domain, conne
     publisher = rogue.node.create_publisher(waferbot_msgs.msg.PhaseVoltages, topic.name, 50)
     rclpy.init()
     recorder = Recorder(None, Timing())
+    recorder.begin()
     executor = make_executor()
     executor.add_node(recorder)
 
@@ -394,6 +406,7 @@ def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
     heard = []
     client.node.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, heard.append, 50)
     publisher = client.node.create_publisher(waferbot_msgs.msg.Stop, STOP_TOPIC, 50)
+    client.node.create_publisher(waferbot_msgs.msg.CurrentCommand, 'current_command', 50)
     plant = start_node(start, 'plant', domain)
     client.spin_until(
         lambda: (
@@ -404,11 +417,35 @@ def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
     )
     time.sleep(0.5)  # the other ends know of each other, too
     publisher.publish(
-        waferbot_msgs.msg.Stop(tick=7, node='/pmac', reason='interrupted by the user')
+        waferbot_msgs.msg.Stop(tick=7, node='/test_client', reason='interrupted by the user')
     )
     client.spin_until(lambda: len(heard) >= 3, 'the stop, its own once and those of the plant')
-    assert {(stop.node, stop.tick) for stop in heard} == {('/pmac', 7)}
+    assert {(stop.node, stop.tick) for stop in heard} == {('/test_client', 7)}
     assert plant.wait(20) == 0, plant.output
+
+
+@pytest.mark.alone  # its stranger is still there when the run has given its domain back
+def test_a_stop_of_a_stranger_is_passed_over_and_said(start, connect, tmp_path):
+    program = long_run(start, tmp_path / 'run')
+    client = connect(domain_of(program))
+    publisher = client.node.create_publisher(waferbot_msgs.msg.Stop, STOP_TOPIC, 50)
+    diagnostics = []
+    client.node.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda array: diagnostics.extend(array.status), 50
+    )
+    client.spin_until(lambda: publisher.get_subscription_count() >= 4, 'all who hear stops')
+    publisher.publish(waferbot_msgs.msg.Stop(tick=7, node='/stranger', reason='because I say so'))
+    told = 'passed over a stop of /stranger, which takes no part in this twin: because I say so'
+    client.spin_until(lambda: program.output.count(told) == 4, 'four warnings', 20.0)
+    client.spin_until(
+        lambda: sum('strangers have asked' in status.message for status in diagnostics) >= 3,
+        'diagnostics',
+        20.0,
+    )
+    assert program.process.poll() is None
+    program.signal(signal.SIGINT)
+    assert program.wait(20) == 130
+    assert check_readable(tmp_path / 'run').summary['reason'] == 'interrupted by the user'
 
 
 def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, recorded, tmp_path):

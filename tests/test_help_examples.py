@@ -21,7 +21,15 @@ LONG = tuple(
     example
     for example in ALL
     if example.startswith(
-        ('waferbot demo', 'waferbot diagnose', 'waferbot suggest', 'waferbot calibrate --quick')
+        (
+            'waferbot demo',
+            'waferbot diagnose',
+            'waferbot suggest',
+            'waferbot calibrate --quick',
+            'waferbot conform',
+            'waferbot tune --model as_built --experiment',
+            'waferbot tune --model flexible --also',
+        )
     )
 )
 """Minutes each; their arguments are parsed, other tests run these commands on less."""

@@ -6,17 +6,42 @@ from __future__ import annotations
 import os
 import socket
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from harness import domain_of, waferbot, wait_until
+from harness import domain_of, user_environment, waferbot, wait_until
 
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
 
 pytestmark = [pytest.mark.slow, pytest.mark.alone]
+
+
+def test_without_loopback_it_is_said_before_anybody_waits(tmp_path):
+    """In a network of its own, in which every interface is down."""
+    apart = ('unshare', '--net', '--map-root-user')
+    if subprocess.run([*apart, 'true'], capture_output=True).returncode:
+        pytest.skip('no network namespaces here')
+    command = [
+        *apart,
+        sys.executable,
+        '-m',
+        'waferbot_twin',
+        'run',
+        '--out',
+        str(tmp_path / 'run'),
+    ]
+    result = subprocess.run(
+        command, capture_output=True, text=True, timeout=120.0, env=user_environment()
+    )
+    assert result.returncode == 1
+    assert 'ip link set lo up' in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert not (tmp_path / 'run').exists()
 
 
 def test_two_twins_at_once_do_not_disturb_each_other(start, recorded, tmp_path):
@@ -83,15 +108,19 @@ def environment_of(pid):
     return dict(entry.split('=', 1) for entry in data.split('\0') if '=' in entry)
 
 
-@pytest.mark.parametrize(('option', 'expected'), [([], 'LOCALHOST'), (['--any-host'], 'SUBNET')])
-def test_discovery_stays_on_localhost_unless_asked(start, option, expected):
+@pytest.mark.parametrize('option', [[], ['--any-host']])
+def test_sockets_are_open_to_this_machine_only_unless_asked(start, option):
     program = start('waferbot_twin', 'run', '--duration', '1000', *option)
     nodes = program.find_children(3)
     domain = domain_of(program)
     for pid in nodes.values():
         environment = environment_of(pid)
-        assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == expected
         assert environment['ROS_DOMAIN_ID'] == str(domain)
+        if option:
+            assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SUBNET'
+        wait_until(lambda pid=pid: len(udp_sockets_of(pid)) >= 2, 'sockets', program)
+        addresses = {address for address, _ in udp_sockets_of(pid)}
+        assert (addresses == {'127.0.0.1'}) == (not option), addresses
 
 
 @pytest.mark.parametrize('asked', [{}, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}])

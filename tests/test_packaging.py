@@ -45,8 +45,11 @@ KEYS = {
 WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard'}
 """pip installs them beside rosdep, as README says; zstandard comes with mcap."""
 
-NOT_INSTALLED = {'distributed'}
-"""Imported where it is there; who uses `--cluster` installs it."""
+NOT_INSTALLED = {'SALib', 'distributed', 'fmpy', 'pyarrow'}
+"""
+Imported where they are there; who uses `sweep`, `--cluster`, `--plant` or has logs in Parquet installs
+them.
+"""
 
 NOT_IMPORTED = {'robot_state_publisher'}
 """Started by the launch file."""
@@ -101,7 +104,8 @@ def test_every_import_has_its_key_and_every_key_is_needed(package):
 def test_every_import_of_a_test_has_its_key(package):
     own = {file.stem for file in (package / 'test').rglob('*.py')}
     imported = imports([package / 'test']) - {package.name, 'waferbot'} - own
-    without = WITHOUT_KEY | {'mcap_ros2', 'mujoco', 'nbclient', 'nbformat'}  # pip's, as above
+    of_pip = {'control', 'fmpy', 'mcap_ros2', 'mujoco', 'nbclient', 'nbformat', 'pinocchio'}
+    without = WITHOUT_KEY | NOT_INSTALLED | of_pip
     needed = {KEYS.get(name, name) for name in imported - without}
     declared = {*of_package_xml(package, 'exec_depend'), *of_package_xml(package, 'test_depend')}
     assert needed <= declared, needed - declared

@@ -20,10 +20,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS
+from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS, PHASE_VOLTAGES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
+from waferbot_twin.cli.info import describe
 from waferbot_twin.recording.completeness import Account, close_complete
 from waferbot_twin.recording.reader import read_recording, recording_file
 from waferbot_twin.recording.writer import RecordingWriter
@@ -185,6 +186,16 @@ def write_with_hole(folder, topic, hole, ticks=400):
             account.topics[one].is_new(tick, one.all_places)
             writer.write(f'/{one.name}', timing.stamp_ns(tick), data)
     return writer, account
+
+
+def test_what_lacks_of_a_tick_that_was_broken_off_is_not_missing(tmp_path):
+    writer, account = write_with_hole(tmp_path / 'run', PHASE_VOLTAGES, 399)
+    assert close_complete(writer, account, account.reached()).startswith('0 missing of')
+    assert describe(tmp_path / 'run')['missing'] == 0
+    writer, account = write_with_hole(tmp_path / 'lost', PHASE_VOLTAGES, 399)
+    with pytest.raises(UserError, match='phase_voltages: 3'):
+        close_complete(writer, account, 400)
+    assert describe(tmp_path / 'lost')['missing'] == 3
 
 
 @pytest.mark.parametrize(

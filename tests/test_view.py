@@ -257,12 +257,12 @@ def test_a_recording_without_encoders_is_refused(served):
 
 
 def test_a_recording_of_which_the_servo_told_nothing_is_shown(served):
-    """A foreign controller need not report commanded positions."""
+    """A foreign controller need not report commanded positions: an axis moves if its encoder says so."""
     _, recording = served
     topics = {**recording.topics, 'servo_state': recording['servo_state'][:0]}
     content = ViewContent(replace(recording, topics=topics))
     assert content.curves(0.0, 1.0)[0][0] == [[], []]
-    assert content.recording()['axes'][0]['moves'] is False
+    assert content.recording()['axes'][0]['moves'] is True
 
 
 # ---- the page -------------------------------------------------------------------------------

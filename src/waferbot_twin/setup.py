@@ -10,7 +10,7 @@ setup(
     version='0.1.0',
     packages=find_packages(exclude=['test']),
     package_data={
-        '': ['*.json', '*.yaml', '*.html', '*.xml', 'py.typed', 'config/**/*'],
+        '': ['*.json', '*.yaml', '*.html', '*.xml', '*.py.txt', 'py.typed', 'config/**/*'],
         'waferbot_twin.view': ['page/*.*', 'page/vendor/*.*'],
     },
     data_files=[
@@ -27,6 +27,8 @@ setup(
     license='Apache-2.0',
     entry_points={
         'console_scripts': [
+            'composed = waferbot_twin.composed:main',
+            'recorder = waferbot_twin.record:main',
             'waferbot = waferbot_twin.cli:main',
         ],
     },

@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Speed of each engine beside the raw exchange of the same messages on the same executor.
+Speed of each engine, layout and delivery beside the raw exchange of the same messages.
 
 One exchange is what a tick of the lock-step has at least: `phase_currents` one way, `phase_voltages`
-back. The raw ping-pong does that and nothing else, with the same bytes, executor and deployment, in
-the same minute; so the ratio says what the twin adds to the messages, whatever the machine is doing.
-A tick of the twin also has encoders to two nodes (every 2nd), current commands and servo state (every
-8th) and, if it is recorded, a third receiver for everything; `deliveries` counts all of them.
+back, by topics. The raw ping-pong does that and nothing else, with the same bytes and executor, in one
+process or two, in the same minute; so the ratio says how the twin does whatever the machine is doing.
 
 Prints a table; writes the same as JSON to bench-results/engines.json.
 """
@@ -22,6 +20,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from rclpy.node import Node
@@ -37,12 +36,6 @@ from waferbot_twin.plan import make_plan
 
 PING_PONGS = 20000
 WARM_UP = 1000
-# Deliveries per tick: currents and voltages to 1, encoders to 2 at half rate, command to 1 at an
-# eighth; the recorder adds one of each, and servo_state.
-DELIVERIES_PER_TICK = {
-    False: 1 + 1 + 2 / 2 + 1 / 8,
-    True: (2 + 2 / 2 + 1 / 8) + (2 + 1 / 2 + 2 / 8),
-}
 
 
 class Ping(Node):
@@ -54,8 +47,8 @@ class Ping(Node):
         self.done = 0
         self.begun_s = 0.0
         self.ended_s = 0.0
-        self._wire = WireFormat(PhaseCurrents)
-        self._decode = WireFormat(PhaseVoltages).decode
+        self._wire = WireFormat('waferbot_msgs/msg/PhaseCurrents')
+        self._decode = WireFormat('waferbot_msgs/msg/PhaseVoltages').decode
         self._publisher = self.create_publisher(PhaseCurrents, 'ping', lockstep_qos())
         self.create_subscription(PhaseVoltages, 'pong', self._on_pong, lockstep_qos(), raw=True)
 
@@ -85,8 +78,8 @@ class Pong(Node):
 
     def __init__(self) -> None:
         super().__init__('pong')
-        self._wire = WireFormat(PhaseVoltages)
-        self._decode = WireFormat(PhaseCurrents).decode
+        self._wire = WireFormat('waferbot_msgs/msg/PhaseVoltages')
+        self._decode = WireFormat('waferbot_msgs/msg/PhaseCurrents').decode
         self._publisher = self.create_publisher(PhaseVoltages, 'pong', lockstep_qos())
         self.create_subscription(PhaseCurrents, 'ping', self._on_ping, lockstep_qos(), raw=True)
 
@@ -137,17 +130,38 @@ def pong_forever() -> None:
         executor.spin_once(timeout_sec=0.1)
 
 
-def twin_rate(engine: str, recorded: bool, seconds: float) -> float:
+TWO = ('plant', 'copley')
+CASES: dict[str, tuple[str, dict[str, Any], float]] = {
+    'three processes, by topics': ('separate', {'delivery': 'topics'}, 0.5),
+    'three processes, by channel': ('separate', {'delivery': 'channel'}, 0.5),
+    'plant with copley; pmac by topics': ('separate', {'compose': TWO}, 0.5),
+    'plant with copley; pmac by channel': (
+        'separate',
+        {'compose': TWO, 'delivery': 'channel'},
+        0.5,
+    ),
+    'composed, by topics': ('composed', {'composed': True, 'delivery': 'topics'}, 0.5),
+    'composed, direct': ('composed', {'composed': True}, 1.0),
+    'inprocess': ('', {}, 2.0),
+}
+"""By name: the raw exchange beside it, options of the ROS engine, sim seconds. All are recorded."""
+
+
+def twin_rate(case: str) -> float:
     """Return ticks per second of wall time."""
+    raw, options, seconds = CASES[case]
     plan = make_plan('rigid', 'step', seconds)
     with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / 'run' if recorded else None
-        if engine == 'inprocess':
-            outcome = inprocess.run(plan, out, False, lambda done, total: None)
+        out = Path(folder) / 'run'
+        if raw:
+            outcome = ros.run(plan, out, False, ignore, ros.RosOptions(**options))
         else:
-            options = ros.RosOptions(composed=engine == 'composed')
-            outcome = ros.run(plan, out, False, lambda done, total: None, options)
+            outcome = inprocess.run(plan, out, False, ignore)
     return plan.ticks / outcome.loop_s
+
+
+def ignore(done: int, total: int) -> None:
+    """Show no progress."""
 
 
 def main() -> None:
@@ -158,50 +172,36 @@ def main() -> None:
     if options.pong:
         pong_forever()
         return
-    cases = [
-        ('ros', False, 0.5),
-        ('ros', True, 0.5),
-        ('composed', False, 0.5),
-        ('composed', True, 0.5),
-        ('inprocess', False, 20.0),
-        ('inprocess', True, 2.0),
-    ]
-    raw: dict[str, list[float]] = {'ros': [], 'composed': []}
-    rates: dict[tuple[str, bool], list[float]] = {case[:2]: [] for case in cases}
+    raw: dict[str, list[float]] = {'separate': [], 'composed': []}
+    rates: dict[str, list[float]] = {case: [] for case in CASES}
     for _ in range(options.repeat):
-        for engine in raw:
-            raw[engine].append(ping_pong(engine == 'composed'))
-        for engine, recorded, seconds in cases:
-            rates[engine, recorded].append(twin_rate(engine, recorded, seconds))
+        for kind in raw:
+            raw[kind].append(ping_pong(kind == 'composed'))
+        for case in CASES:
+            rates[case].append(twin_rate(case))
     results = []
-    for engine, recorded, _ in cases:
-        rate = statistics.median(rates[engine, recorded])
-        row = {
-            'engine': engine,
-            'written_to_disk': recorded,
+    for case, (kind, _, _) in CASES.items():
+        rate = statistics.median(rates[case])
+        row: dict[str, Any] = {
+            'case': case,
             'ticks_per_s': rate,
             'realtime_factor': rate / 18000.0,
+            'realtime_factors': [one / 18000.0 for one in rates[case]],
         }
-        if engine in raw:
-            limit = statistics.median(raw[engine])
-            # The recorder listens in every ROS run, to count; --out only adds the file.
-            row['raw_exchanges_per_s'] = limit
-            row['exchange_ratio'] = rate / limit
-            row['delivery_ratio'] = rate * DELIVERIES_PER_TICK[True] / (2 * limit)
+        if kind:
+            row['raw_exchanges_per_s'] = statistics.median(raw[kind])
+            row['exchange_ratio'] = rate / row['raw_exchanges_per_s']
         results.append(row)
-    table = Table(title='Speed of the engines, rigid model (median of rounds)')
-    for heading in ('engine', 'to disk', 'ticks/s', 'x real time', 'raw exchanges/s',
-                    'ticks per raw exchange', 'deliveries per raw delivery'):  # fmt: skip
-        table.add_column(heading, justify='right')
+    table = Table(title='Speed, rigid model, recorded, every message on its topic (medians)')
+    for heading in ('case', 'ticks/s', 'x real time', 'raw exchanges/s', 'ticks per raw exchange'):
+        table.add_column(heading, justify='left' if heading == 'case' else 'right')
     for row in results:
         table.add_row(
-            row['engine'],
-            'yes' if row['written_to_disk'] else 'no',
+            row['case'],
             f'{row["ticks_per_s"]:.0f}',
             f'{row["realtime_factor"]:.2f}',
             f'{row["raw_exchanges_per_s"]:.0f}' if 'raw_exchanges_per_s' in row else '',
             f'{row["exchange_ratio"]:.2f}' if 'exchange_ratio' in row else '',
-            f'{row["delivery_ratio"]:.2f}' if 'delivery_ratio' in row else '',
         )
     Console(markup=False, width=110).print(table)
     folder = Path('bench-results')

@@ -47,13 +47,18 @@ from waferbot_twin.logs.mapping import load_mapping
 from waferbot_twin.models import load_model, load_model_or_machine, models_folder, recorded_model
 from waferbot_twin.output_folder import MARKER, OutputFolder, foreign
 from waferbot_twin.recording.reader import (
+    Content,
     Recording,
     read_content,
     read_recording,
     recording_file,
 )
-from waferbot_twin.response import axis_responses
+from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.response_reader import load_responses
 from waferbot_twin.suggestion.rivals import named, of_report, read_report
+
+FEW = 40
+"""Messages of each topic in a recording whose attachments are damaged."""
 
 Feed = Callable[[bytes, Path], None]
 """Puts content into a folder and lets the tool read it."""
@@ -240,6 +245,64 @@ def _feed_csv(content: bytes, folder: Path) -> None:
     _load(_put(folder, 'log.csv', content), MAPPING)
 
 
+def _samples() -> list[dict[str, object]]:
+    return [{'time': k / 1000, 'axis': {'angle': k * 1e-4, 'i': [0, k % 7]}} for k in range(ROWS)]
+
+
+def _json_list(folder: Path) -> list[bytes]:
+    return [json.dumps(_samples(), indent=1).encode()]
+
+
+def _json_lines(folder: Path) -> list[bytes]:
+    return ['\n'.join(map(json.dumps, _samples())).encode(), *_json_list(folder)]
+
+
+def _feed_json(content: bytes, folder: Path) -> None:
+    mapping = MAPPING.replace(b'column: angle', b'column: axis.angle')
+    mapping = mapping.replace(b'column: current', b"column: 'axis.i[1]'")
+    _load(_put(folder, 'log.json', content), mapping)
+
+
+def _lists(folder: Path) -> list[bytes]:
+    rows = (
+        f'({k / 1000:.6f});can0;{name};{value:g}'
+        for k in range(ROWS)
+        for name, value in (('angle', k * 1e-4), ('current', k % 7))
+    )
+    return [('time;bus;what;value\n' + '\n'.join(rows) + '\n').encode()]
+
+
+def _feed_list(content: bytes, folder: Path) -> None:
+    mapping = MAPPING
+    for name in (b'angle', b'current'):
+        chosen = b'column: value, where: {column: what, is: %s}' % name
+        mapping = mapping.replace(b'column: %s' % name, chosen)
+    _load(_put(folder, 'log.csv', content), mapping)
+
+
+def _scopes(folder: Path) -> list[bytes]:
+    rows = (f'angle {k * 1e-4:+.14f} current {k % 7:+.14f} ' for k in range(ROWS))
+    return [('Sampling period is 1000000 ns \n\n' + '\n'.join(rows) + '\n').encode()]
+
+
+def _feed_scope(content: bytes, folder: Path) -> None:
+    _load(_put(folder, 'log.txt', content), MAPPING.replace(b'time: {column: time, unit: s}', b''))
+
+
+def _parquets(folder: Path) -> list[bytes]:
+    import pyarrow
+    import pyarrow.parquet as file_format
+
+    angle, current = _signals().T
+    columns = {'time': np.arange(ROWS) / 1000, 'angle': angle, 'current': current}
+    file_format.write_table(pyarrow.table(columns), folder / 'whole.parquet')
+    return [(folder / 'whole.parquet').read_bytes()]
+
+
+def _feed_parquet(content: bytes, folder: Path) -> None:
+    _load(_put(folder, 'log.parquet', content), MAPPING)
+
+
 def _feed_mapping(content: bytes, folder: Path) -> None:
     _put(folder, 'log.csv', _csv())
     _load(folder / 'log.csv', content)
@@ -369,15 +432,27 @@ def _feed_mcap(content: bytes, folder: Path) -> None:
     path = _put(folder, 'x_0.mcap', content)
     recording = read_recording(path)
     if 'run.json' in recording.attachments:
-        _tell(recording)
+        _tell(path)
     _load(path)
 
 
-def _tell(recording: Recording) -> None:
+def _short(folder: Path, attachments: dict[str, str]) -> Path:
+    """Write the first messages of the run as a recording with other attachments."""
+    out, content = folder / 'short', _content(_run(folder))
+    with RecordingWriter(out, attachments, force=True) as writer:
+        for topic, messages in content.messages.items():
+            writer.add_topic(topic, content.types[topic])
+            times_ns = content.log_times_ns[topic]
+            for message, time_ns in zip(messages[:FEW], times_ns, strict=False):
+                writer.write(topic, time_ns, message)
+    return out / 'short_0.mcap'  # the folder's metadata are a category of their own
+
+
+def _tell(path: Path) -> None:
     """Do with a recording of a run what the commands do."""
-    told = describe(recording)
+    told = describe(path)
     f'{told["ticks"]} {told["sim_s"]:.4f} {sorted(told["run"].get("versions", {}).items())}'
-    responses = axis_responses(recording)
+    responses = load_responses(path)
     for response in responses:
         response.metrics()
         compare([response, response], 'first')
@@ -419,6 +494,11 @@ def _metadata(folder: Path) -> list[bytes]:
 
 
 @functools.cache
+def _content(path: Path) -> Content:
+    return read_content([recording_file(path)])
+
+
+@functools.cache
 def _recording(path: Path) -> Recording:
     return read_recording(path)
 
@@ -433,7 +513,7 @@ def _attachments(name: str) -> Category:
         text = content.decode('utf-8', 'replace')
         kept = _recording(_run(folder))
         recording = replace(kept, attachments={**kept.attachments, name: text})
-        _tell(recording)
+        _tell(_short(folder, recording.attachments))
         model = recorded_model(recording)
         recorded_plan(recording, model)
         servo_parameters(model.of_axes('pmac'), 'model')
@@ -526,6 +606,11 @@ CATEGORIES = {
         Category('settings', lambda folder: [LISTING, SETTINGS], misspelt, _feed_settings),
         Category('mapping', lambda folder: [MAPPING], misspelt, _feed_mapping),
         Category('csv', _csvs, _damaged_csv, _feed_csv),
+        Category('json', _json_list, exchanged, _feed_json),
+        Category('json text', _json_lines, misspelt, _feed_json),
+        Category('list', _lists, _damaged_csv, _feed_list),
+        Category('scope', _scopes, _damaged_csv, _feed_scope),
+        Category('parquet', _parquets, damaged, _feed_parquet),
         Category('gather', _gathers, misspelt, _feed_gather),
         Category('npy', _npys, damaged, _feed_npy),
         Category('npz', _npzs, damaged, _feed_npz),

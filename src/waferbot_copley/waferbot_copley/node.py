@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from waferbot_copley import amplifier
 from waferbot_copley.faults import describe
+from waferbot_copley.node_settings import DEVICE_SETTINGS, FAULT, POLICIES, RAMP, TWIN
 from waferbot_copley.settings import amplifier_parameters, settings_of
 from waferbot_lockstep.contract import (
     ALL_ENCODERS,
@@ -34,6 +35,7 @@ from waferbot_lockstep.contract import (
     Topic,
     axes_mask,
 )
+from waferbot_lockstep.device_input import DeviceInput
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import LOCKSTEP, LockstepNode, Trouble, run_node
 
@@ -44,9 +46,22 @@ class CopleyNode(LockstepNode):
     def __init__(self, **node_options: Any) -> None:
         """Declare the settings of the driven axes and compile the current loop."""
         self._settings: dict[str, dict[str, Any]] = {}
-        super().__init__('copley', {}, (PHASE_VOLTAGES, AMPLIFIER_STATE), **node_options)
+        super().__init__('copley', {}, (), **node_options)
         names = self.declare_fixed('axes', list(AXES), 'the axes that this node drives')
         self._axes = _mask(names)
+        self.offer(PHASE_VOLTAGES, self._axes)
+        self.offer(AMPLIFIER_STATE, self._axes)
+        self._device_policy = self.declare_choice(
+            'device_clock',
+            TWIN,
+            (TWIN, *POLICIES),
+            'whose current commands come when they like, each letting one servo cycle pass, and what '
+            f'becomes of a time-out; {TWIN}: nobody, commands are in lock-step',
+        )
+        device = self.declare_settings('', DEVICE_SETTINGS)
+        self._device_timeout_s = float(device['device_timeout_s'])
+        self._ramp_cycles = max(1, round(float(device['device_ramp_s']) * self.timing.servo_hz))
+        self._device_waited = -1, 0.0, False  # for which tick, since when, and whether told
         self.need(PHASE_CURRENTS, self._axes)
         self.need(CURRENT_COMMAND, self._axes)
         self.need(ENCODERS_TOPIC, ALL_ENCODERS)
@@ -66,6 +81,32 @@ class CopleyNode(LockstepNode):
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.create_service(Trigger, '~/reset_faults', self._on_reset_faults)
         self.create_service(SetBool, '~/safe_torque_off', self._on_safe_torque_off)
+
+    def lockstep_input(self, topic: Topic, mask: int) -> Any:
+        """Return the input of a topic in lock-step, or of one whose messages are the clock."""
+        if topic is CURRENT_COMMAND and self._device_policy != TWIN:
+            return DeviceInput(topic, self.timing, mask)
+        return super().lockstep_input(topic, mask)
+
+    def watch(self, now_s: float) -> None:
+        """Act if the device that is the clock lets a tick wait for too long."""
+        command = self.inboxes[CURRENT_COMMAND]
+        if not isinstance(command, DeviceInput):
+            return
+        tick, since_s, told = self._device_waited
+        waits = command.due == self._tick > 0 and not command.complete
+        if not waits or self._tick != tick:
+            self._device_waited = self._tick, now_s, False
+        elif now_s - since_s > self._device_timeout_s and not told:
+            self._device_waited = tick, since_s, True
+            waited = f'no current_command for {now_s - since_s:.1f} s at tick {tick}'
+            silence = f'the device is silent: {waited}'
+            if self._device_policy == FAULT:
+                self.fail(silence)
+                return
+            self.get_logger().warning(f'{silence}: {self._device_policy}')
+            if self._device_policy == RAMP and command.ramp(self._ramp_cycles):
+                self.on_input(CURRENT_COMMAND)
 
     def parameters_of_others(self) -> list[str]:
         """Return the settings of axes that other nodes drive; a file may hold those of all."""
@@ -183,8 +224,12 @@ class CopleyNode(LockstepNode):
             self._faults_told[place] = found
 
     def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
-        """Tell which faults there are."""
-        return {}, [
+        """Tell which faults there are, and how the device comes that is the clock."""
+        command, values = self.inboxes[CURRENT_COMMAND], {}
+        if isinstance(command, DeviceInput):
+            counts = {'missed': command.missed, 'late': command.late, 'ramped': command.ramped}
+            values = {f'device {name}': str(count) for name, count in counts.items()}
+        return values, [
             (DiagnosticStatus.ERROR, f'{axis}: {describe(found)}')
             for axis, found in zip(AXES, self._faults_told, strict=True)
             if found

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from fractions import Fraction
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,3 +33,11 @@ def test_rates_of_the_thesis():
 def test_rates_that_do_not_nest_are_refused(rates):
     with pytest.raises(UserError, match='timing'):
         Timing(*rates)
+
+
+@pytest.mark.parametrize('current_loop_hz', [18000, 7, 10**9])
+def test_stamps_of_many_ticks_are_those_of_each(current_loop_hz):
+    timing = Timing(current_loop_hz=current_loop_hz)
+    ticks = np.array([0, 1, 7, 17999, 18000, 10**9 - 1, 5 * 10**11])  # a year at 18 kHz
+    stamps = timing.stamps_ns(ticks[ticks // current_loop_hz < 9 * 10**9])
+    assert stamps.tolist() == [timing.stamp_ns(int(tick)) for tick in ticks][: len(stamps)]

@@ -53,7 +53,12 @@ REAL_TIME = ['-p', 'timekeeping:=realtime']
 
 
 def test_lock_step_keeps_to_this_machine_and_to_what_the_user_says():
-    assert chosen([]) == {DISCOVERY: 'LOCALHOST'}
+    environment = chosen([])
+    settings = Path(environment[PROFILES]).read_text()
+    assert '<interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>' in settings
+    assert '<type>SHM</type>' in settings
+    assert '<useBuiltinTransports>false' in settings
+    assert environment[DISCOVERY] == 'SYSTEM_DEFAULT'
     assert chosen([], **{DISCOVERY: 'SUBNET'}) == {DISCOVERY: 'SUBNET'}
 
 
@@ -61,6 +66,7 @@ def test_real_time_on_this_machine_has_settings_without_shared_memory():
     environment = chosen(REAL_TIME)
     settings = Path(environment[PROFILES]).read_text()
     assert '127.0.0.1' in settings
+    assert 'SHM' not in settings
     assert '<useBuiltinTransports>false' in settings
     assert environment[DISCOVERY] == 'SYSTEM_DEFAULT'
 

@@ -18,17 +18,17 @@ from ament_index_python.packages import get_package_share_directory
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.package_data import package_data
-from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES, ROBOT_DESCRIPTION
+from waferbot_lockstep.standard_messages import CLOCK, FLOAT64, JOINT_STATES, ROBOT_DESCRIPTION
 
 _SEPARATOR = '=' * 80
 _FIELD = re.compile(r'^\s*([A-Za-z]\w*(?:/\w+)*)(?:\[[^\]]*\])?\s+\w+')
 
 
 def definitions_text() -> str:
-    """Return what the file must hold: all messages of waferbot_msgs, and the standard ones of a run."""
+    """Return what the file must hold: all of waferbot_msgs, and the standard ones of recordings."""
     own = Path(get_package_share_directory('waferbot_msgs')) / 'msg'
     names = [f'waferbot_msgs/msg/{path.stem}' for path in sorted(own.glob('*.msg'))]
-    names += [type_name for _, type_name in (CLOCK, JOINT_STATES, ROBOT_DESCRIPTION)]
+    names += [type_name for _, type_name in (CLOCK, JOINT_STATES, ROBOT_DESCRIPTION)] + [FLOAT64]
     found = {
         name: {'hash': _type_hash(name), 'text': _full_text(name).split('\n')} for name in names
     }

@@ -11,6 +11,9 @@ to do when an input has come. Everything else is here:
   that a peer is gone.
 - A node that finds an error publishes it once on `stop` and ends; the others end with that reason.
 
+Messages go from node to node by their ROS topics, or, where nodes share a process or a channel, by an
+`Exchange`; they are published on the topics in any case.
+
 In real time (`timekeeping: realtime`) the inputs are those of `waferbot_lockstep.newest_input`: nobody
 ends because of a message that is late, lost, doubled or early, nor because a peer is silent or has
 stopped. All of that is counted and told on `/diagnostics`, and a peer that comes back is taken in
@@ -22,6 +25,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -43,15 +47,18 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 
 import waferbot_msgs.msg
+from waferbot_lockstep.channel import Channel
 from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
 from waferbot_lockstep.definitions import field_types
 from waferbot_lockstep.errors import LockstepError, UserError
+from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
+from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.transport import choose_transport
 from waferbot_lockstep.wire import WireFormat
@@ -102,17 +109,39 @@ def message_class(topic: Topic) -> Any:
     return found
 
 
+class Outlet:
+    """Where the messages of one topic go, as bytes: to the exchange, and to its ROS topic."""
+
+    def __init__(self, publisher: Any, exchange: Exchange, mask: int = 1) -> None:
+        """Speak for the places in `mask` of the topic of a publisher."""
+        self.name: str = publisher.topic_name
+        self.publisher = publisher
+        self._exchange = exchange
+        exchange.offer(self.name, mask)
+
+    def send(self, message: bytes) -> None:
+        """Send a message in CDR."""
+        self._exchange.put(self.name, message)
+        self.publisher.publish(message)
+
+
 class LockstepNode(Node):
     """
     A node of the twin.
 
     `needs` maps each topic that the node waits for to the mask of the places it needs; `gives` lists
-    the topics that it publishes. `outcome` is None while it runs, '' after an ordinary end, otherwise
+    the topics that it publishes, for all places. `exchange` is that of the process, if it holds several
+    nodes. `outcome` is None while it runs, '' after an ordinary end, otherwise
     the reason for which it stopped, as one line.
     """
 
     def __init__(
-        self, name: str, needs: Mapping[Topic, int], gives: Sequence[Topic], **node_options: Any
+        self,
+        name: str,
+        needs: Mapping[Topic, int],
+        gives: Sequence[Topic],
+        exchange: Exchange | None = None,
+        **node_options: Any,
     ) -> None:
         """Declare the common parameters and open the topics; nothing is sent before `begin`."""
         super().__init__(name, **node_options)
@@ -130,15 +159,15 @@ class LockstepNode(Node):
         self.timekeeping = self.declare_choice(
             'timekeeping', LOCKSTEP, (LOCKSTEP, REALTIME), 'who waits for whom'
         )
+        self.exchange = exchange or self._own_exchange()
         self.inboxes: dict[Topic, Any] = {}
         self._wire: dict[Topic, WireFormat] = {}
-        self._publishers_of: dict[Topic, Any] = {}
-        self._last_messages: dict[Any, Any] = {}  # by publisher
+        self._outlets: dict[Topic, Outlet] = {}
+        self._inlets: dict[Topic, tuple[WireFormat, Callable[..., bool]]] = {}
+        self._last_messages: dict[Outlet, bytes] = {}
+        self._stop: Any = None  # the last word on `stop`
         for topic in gives:
-            self._wire[topic] = WireFormat(topic.type_name)
-            self._publishers_of[topic] = self.create_publisher(
-                message_class(topic), topic.name, lockstep_qos()
-            )
+            self.offer(topic, topic.all_places)
         for topic, mask in needs.items():
             self.need(topic, mask)
         self._stop_publisher = self.create_publisher(
@@ -147,6 +176,7 @@ class LockstepNode(Node):
         self.create_subscription(
             waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
         )
+        self._stops = Stops(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', 10)
         self._begun_s = 0.0
         self._noticed_s = 0.0
@@ -185,11 +215,13 @@ class LockstepNode(Node):
 
     def begin(self) -> None:
         """
-        Start the signs of life; called once, after the node is complete.
+        Open the inputs and start the signs of life; called once, when the process has all its nodes.
 
         Raises `UserError` if the node was given a parameter that it does not have.
         """
         self._refuse_unknown_parameters()
+        for topic in self._inlets:
+            self._open_inlet(topic)
         self._begun_s = self._noticed_s = time.monotonic()
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SIGN_OF_LIFE_PERIOD_S, self._on_sign_of_life, clock=wall)
@@ -198,13 +230,13 @@ class LockstepNode(Node):
     def give(self, topic: Topic, tick: int, valid: int, values: Sequence[float]) -> None:
         """Publish `values` of the places in `valid` as the message of `tick`."""
         message = self._wire[topic].encode(tick, self.timing.stamp_ns(tick), valid, values)
-        self.publish(self._publishers_of[topic], message)
+        self.publish(self._outlets[topic], message)
 
-    def publish(self, publisher: Any, message: bytes) -> None:
+    def publish(self, outlet: Outlet, message: bytes) -> None:
         """Publish a message in CDR, and keep it for the signs of life."""
-        self._last_messages[publisher] = message
+        self._last_messages[outlet] = message
         self._progress += 1
-        publisher.publish(message)
+        outlet.send(message)
 
     def finish(self) -> None:
         """End ordinarily."""
@@ -223,7 +255,8 @@ class LockstepNode(Node):
         )
         stamp_ns = self.timing.stamp_ns(max(self.tick, 0))
         stop.header.stamp.sec, stop.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
-        self._last_messages = {self._stop_publisher: stop}
+        self._last_messages = {}
+        self._stop = stop
         self._stop_publisher.publish(stop)
         self._on_diagnostics()
 
@@ -245,43 +278,95 @@ class LockstepNode(Node):
         answer then may be dead.
         """
         begun_s = time.monotonic()
-        ordinary = self._stop_publisher not in self._last_messages
         while True:
-            for publisher, message in self._last_messages.items():
-                publisher.publish(message)
+            self._repeat()
             time.sleep(SIGN_OF_LIFE_PERIOD_S / 2)
             stayed_s = time.monotonic() - begun_s
             if stayed_s < FAREWELL_S:
                 continue
-            if not ordinary or interrupt.raised or stayed_s > FAREWELL_LIMIT_S:
+            if self._stop is not None or interrupt.raised or stayed_s > FAREWELL_LIMIT_S:
                 return
             if self._all_acknowledged():
                 return
 
     def _all_acknowledged(self) -> bool:
         at_once = Duration()
-        return all(publisher.wait_for_all_acked(at_once) for publisher in self._last_messages)
+        return all(outlet.publisher.wait_for_all_acked(at_once) for outlet in self._last_messages)
+
+    def _repeat(self) -> None:
+        for outlet, message in self._last_messages.items():
+            outlet.send(message)
+        if self._stop is not None:
+            self._stop_publisher.publish(self._stop)
+
+    def offer(self, topic: Topic, mask: int) -> None:
+        """Speak for the places in `mask` of a topic; call it before `begin`."""
+        self._wire[topic] = WireFormat(topic.type_name)
+        publisher = self.create_publisher(message_class(topic), topic.name, lockstep_qos())
+        self._outlets[topic] = Outlet(publisher, self.exchange, mask)
 
     def need(self, topic: Topic, mask: int) -> None:
-        """Wait for the places in `mask` of a topic from now on; call it before `begin`."""
-        message_type = message_class(topic)
-        decode = WireFormat(topic.type_name).decode
+        """Wait for the places in `mask` of a topic; call it before `begin`."""
         if self.timekeeping == REALTIME:
             push = self._real_time_input(topic, mask)
         else:
-            inbox = self.inboxes[topic] = Inbox(topic, self.timing, mask)
+            inbox = self.inboxes[topic] = self.lockstep_input(topic, mask)
             push = inbox.push
+        self._inlets[topic] = WireFormat(topic.type_name), push
 
-        def on_message(data: bytes) -> None:
+    def lockstep_input(self, topic: Topic, mask: int) -> Any:
+        """Return the input of a topic in lock-step."""
+        return Inbox(topic, self.timing, mask)
+
+    def _open_inlet(self, topic: Topic) -> None:
+        wire, push = self._inlets[topic]
+        decode = wire.decode
+
+        def take(
+            data: bytes, tick: int, stamp_ns: int, valid: int, values: Sequence[float]
+        ) -> None:
             if self.outcome is not None:
                 return
             try:
-                if push(*decode(data)):
+                if push(tick, stamp_ns, valid, values):
                     self.on_input(topic)
             except UserError as error:
                 self.fail(str(error))
 
-        self.create_subscription(message_type, topic.name, on_message, lockstep_qos(), raw=True)
+        def on_message(data: bytes) -> None:
+            try:
+                fields = decode(data)
+            except UserError as error:
+                self.fail(str(error))
+            else:
+                take(data, *fields)
+
+        name = self.resolve_topic_name(topic.name)
+        if self.exchange.takes(name, self.inboxes[topic].needed):
+            self.exchange.listen(name, take, decode)
+        else:
+            self.create_subscription(
+                message_class(topic), topic.name, on_message, lockstep_qos(), raw=True
+            )
+
+    def _own_exchange(self) -> Exchange:
+        """Return the exchange of a node that has a process to itself."""
+        folder = self.declare_fixed(
+            'channel',
+            '',
+            'folder of the Unix sockets by which nodes exchange messages; empty: by ROS topics',
+        )
+        from_topics = self.declare_fixed(
+            'from_topics',
+            [''],
+            'with a channel, the topics that come from nodes that have none',
+        )
+        if not folder:
+            return Exchange()
+        if self.timekeeping == REALTIME:
+            raise UserError('a channel is for lock-step; in real time nodes exchange by topics')
+        names = [self.resolve_topic_name(name) for name in from_topics if name]
+        return Exchange(Channel(Path(folder), self.get_name()), names)
 
     def _real_time_input(self, topic: Topic, mask: int) -> Callable[..., bool]:
         """Add the input of a topic in real time; return the function that takes its messages."""
@@ -301,7 +386,12 @@ class LockstepNode(Node):
         return push
 
     def _on_stop(self, stop: Any) -> None:
-        if self.outcome is not None or stop.node == self.get_fully_qualified_name():
+        if self.outcome is None and stop.node != self.get_fully_qualified_name():
+            self._follow(self._stops.heard(stop))
+
+    def _follow(self, stop: Any) -> None:
+        """End with a peer that has stopped, if there is one."""
+        if stop is None or self.outcome is not None:
             return
         if self.timekeeping == REALTIME:
             self.get_logger().warning(
@@ -315,15 +405,15 @@ class LockstepNode(Node):
             self.outcome = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'
             self.get_logger().error(self.outcome)
         # Passed on in the farewell: a node that has just started may know this one, but not yet that.
-        self._last_messages[self._stop_publisher] = stop
+        self._stop = stop
 
     def _on_sign_of_life(self) -> None:
         if self.outcome is not None:
             return
         if self._progress == self._seen_progress:
-            for publisher, message in self._last_messages.items():
-                publisher.publish(message)
+            self._repeat()
         self._seen_progress = self._progress
+        self._follow(self._stops.look_around())
         now_s = time.monotonic()
         self._watch_peers(now_s)
         self.watch(now_s)
@@ -339,7 +429,7 @@ class LockstepNode(Node):
                     self._last_heard_s[key] = now_s
                 elif key not in self._last_heard_s:
                     self._check_startup(inbox, now_s)
-                elif self.timekeeping == LOCKSTEP:
+                elif isinstance(inbox, Inbox):
                     self._check_silence(inbox, place, now_s - self._last_heard_s[key])
                 if self.outcome is not None:
                     return
@@ -407,6 +497,9 @@ class LockstepNode(Node):
                 troubles.extend(self._arrival_troubles(topic, inbox, now_s))
                 self._told[topic] = inbox.arrivals.received, inbox.arrivals.trouble
         values.update(own_values)
+        if self._stops.ignored:
+            values['stops of strangers'] = str(self._stops.ignored)
+            troubles.append((DiagnosticStatus.WARN, 'strangers have asked the twin to stop'))
         if self.outcome:
             troubles.insert(0, (DiagnosticStatus.ERROR, self.outcome))
         status = DiagnosticStatus(
@@ -572,11 +665,12 @@ def spin_until_done(
     nodes: Sequence[LockstepNode], interrupt: Interrupt, executor: Any | None = None
 ) -> None:
     """
-    Serve the nodes until each has an outcome.
+    Serve the nodes, which share an exchange, until each has an outcome.
 
     One node stopping with an error ends all of them; an interrupt ends all of them ordinarily.
     """
     executor = executor or make_executor()
+    exchange = nodes[0].exchange
     for node in nodes:
         executor.add_node(node)
     timed = [node for node in nodes if node.timekeeping == REALTIME]
@@ -589,7 +683,7 @@ def spin_until_done(
                 due_s = node.sleep_time_s()
                 if due_s is not None:
                     timeout_s = min(timeout_s, due_s)
-            executor.spin_once(timeout_sec=max(timeout_s, 0.0))
+            exchange.serve(executor, max(timeout_s, 0.0))
             for node in timed:
                 if node.outcome is None:
                     node.on_time()
@@ -609,10 +703,18 @@ def spin_until_done(
 
 
 def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
-    """
-    Run one node as a process; return its exit code (0: ended as meant, 1: an error, told on stderr).
+    """Run one node as a process, as `run_nodes` does; `make_node` is called without arguments."""
+    return run_nodes(lambda: [make_node()], arguments)
 
-    `make_node` is called without arguments once rclpy is up.
+
+def run_nodes(
+    make_nodes: Callable[[], Sequence[LockstepNode]], arguments: Sequence[str] | None = None
+) -> int:
+    """
+    Run nodes that share an exchange as a process.
+
+    Return its exit code (0: ended as meant, 1: an error, told on stderr). `make_nodes` is called once
+    rclpy is up.
     """
     choose_transport(sys.argv if arguments is None else arguments)
     interrupt = Interrupt()
@@ -621,16 +723,18 @@ def run_node(make_node: Any, arguments: Sequence[str] | None = None) -> int:
         args=None if arguments is None else list(arguments),
         signal_handler_options=SignalHandlerOptions.NO,
     )
-    node = None
+    nodes: Sequence[LockstepNode] = []
     try:
-        node = make_node()
-        spin_until_done([node], interrupt)
-        node.take_leave(interrupt)
-        return 1 if node.outcome else 0
+        nodes = make_nodes()
+        spin_until_done(nodes, interrupt)
+        for node in nodes:
+            node.take_leave(interrupt)
+        return 1 if any(node.outcome for node in nodes) else 0
     except (UserError, LockstepError) as error:
         rclpy.logging.get_logger('waferbot').error(str(error))
         return 1
     finally:
-        if node is not None:
+        for node in nodes:
+            node.exchange.close()
             node.destroy_node()
         rclpy.try_shutdown()

@@ -38,6 +38,8 @@ NODE_SETTINGS = (
 NODE_PARAMETERS = (
     *(parameter.name for parameter in NODE_SETTINGS),
     'timekeeping',
+    'channel',
+    'from_topics',
     'use_sim_time',
 )
 """Names of all parameters that every node has."""

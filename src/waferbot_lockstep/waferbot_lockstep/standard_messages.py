@@ -22,6 +22,9 @@ ROBOT_DESCRIPTION = ('robot_description', 'std_msgs/msg/String')
 
 JOINT_STATES = ('joint_states', 'sensor_msgs/msg/JointState')
 
+FLOAT64 = 'std_msgs/msg/Float64'
+"""Of the topics of an overlay, measured beside simulated."""
+
 
 def clock_message(stamp_ns: int) -> bytes:
     """Return a `Clock` message."""

@@ -15,6 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from waferbot_lockstep.errors import UserError
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
@@ -62,6 +65,15 @@ class Timing:
     def stamp_ns(self, tick: int) -> int:
         """Return the stamp of `tick` in nanoseconds of sim time, rounded down."""
         return tick * NANOSECONDS_PER_SECOND // self.current_loop_hz
+
+    def stamps_ns(self, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the stamps of ticks (n,), as `stamp_ns`."""
+        seconds, rest = np.divmod(ticks, self.current_loop_hz)
+        return np.asarray(
+            seconds * NANOSECONDS_PER_SECOND
+            + rest * NANOSECONDS_PER_SECOND // self.current_loop_hz,
+            np.int64,
+        )
 
     def seconds(self, tick: int) -> float:
         """Return the time of `tick` in seconds, correctly rounded."""

@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The transport of nodes in real time: UDP only.
+The transport of nodes: whom their sockets are open to.
 
-Between processes of one machine Fast DDS goes through shared memory first. Where a process is killed,
-its port there stays behind. The others go on writing into it, for seconds each time that they look
-whether somebody still reads; and they may write there for ever when the process is started again,
-since its new port has the same name. So it is heard, and hears nothing. In lock-step a killed peer
-ends the twin, and it does not matter; in real time the others go on and the killed one comes back. UDP
-has nothing that stays behind.
+ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, as rmw_fastrtps has it, keeps nodes from looking for others, but
+binds their sockets to every address: whoever knows one, on another host or in another network
+namespace, joins, reads all and stops the twin. So the same discovery is asked for by a file of Fast DDS
+settings instead, with sockets of the loopback interface only.
 
-With discovery on this machine only, rmw_fastrtps adds shared memory whatever the environment says, so
-the same discovery is asked for by a file of Fast DDS settings instead.
+In real time shared memory is left out as well. Between processes of one machine Fast DDS goes through
+it first. Where a process is killed, its port there stays behind. The others go on writing into it, for
+seconds each time that they look whether somebody still reads; and they may write there for ever when
+the process is started again, since its new port has the same name. So it is heard, and hears nothing. In
+lock-step a killed peer ends the twin, and it does not matter; in real time the others go on and the
+killed one comes back. UDP has nothing that stays behind.
 """
 
 from __future__ import annotations
@@ -37,16 +39,18 @@ def choose_transport(
     """
     Set, before ROS starts, whom a node talks to and how, as far as the user has not.
 
-    Discovery stays on this machine. With `timekeeping` set to `realtime` on the node's command line, it
-    keeps to UDP, unless the user has Fast DDS settings of his own.
+    Discovery and sockets stay on this machine. With `timekeeping` set to `realtime` on the node's
+    command line, it keeps to UDP. Fast DDS settings of the user's own hold; then only discovery stays.
     """
     discovery = environment.setdefault(DISCOVERY, 'LOCALHOST')
-    if PROFILES in environment or not asks_for_real_time(arguments):
+    if PROFILES in environment:
         return
+    real_time = asks_for_real_time(arguments)
     if discovery == 'LOCALHOST':
         environment[DISCOVERY] = 'SYSTEM_DEFAULT'
-        environment[PROFILES] = str(package_data('waferbot_lockstep', 'real_time_transport.xml'))
-    else:
+        file = 'real_time_transport.xml' if real_time else 'closed_transport.xml'
+        environment[PROFILES] = str(package_data('waferbot_lockstep', file))
+    elif real_time:
         environment.setdefault(BUILTIN_TRANSPORTS, 'UDPv4')
 
 

@@ -29,7 +29,9 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
+_PLAIN = LITTLE_ENDIAN[:2]
 _FRAME_ID_LENGTH = 1  # of an empty string: only its closing zero
+_PADDING = 4  # bytes that Fast DDS may fill up the end to
 
 # name in a message definition: (struct code, NumPy name)
 _SCALARS = {
@@ -99,17 +101,19 @@ class WireFormat:
 
         Raises `UserError` if the bytes are no message of this type.
         """
-        if not self.is_plain(data):
+        if not self.size <= len(data) < self.size + _PADDING:
             return self._decode_slowly(data)
         fields = self._struct.unpack_from(data)
+        if fields[3] != _FRAME_ID_LENGTH or fields[0][:2] != _PLAIN:
+            return self._decode_slowly(data)
         stamp_ns = fields[1] * NANOSECONDS_PER_SECOND + fields[2]
         return fields[5], stamp_ns, fields[6], fields[7:]
 
     def is_plain(self, data: bytes) -> bool:
         """Tell whether the bytes have the fixed layout (Fast DDS may pad the end to four bytes)."""
         return (
-            self.size <= len(data) < self.size + 4
-            and data[:2] == LITTLE_ENDIAN[:2]
+            self.size <= len(data) < self.size + _PADDING
+            and data[:2] == _PLAIN
             and data[12:16] == b'\x01\x00\x00\x00'
         )
 
@@ -143,6 +147,18 @@ class WireFormat:
     def records(self, messages: Sequence[bytes]) -> np.ndarray:
         """Return many messages as one structured array of shape (len(messages),)."""
         return np.frombuffer(b''.join(map(self.normalised, messages)), self.dtype)
+
+    def records_of_rows(self, rows: np.ndarray) -> np.ndarray | None:
+        """
+        Return messages that are rows (n, `size`) of bytes as one structured array (n,).
+
+        None if one of them has not the fixed layout; then `records` has to do it.
+        """
+        little_endian = rows[:, :2] == np.frombuffer(LITTLE_ENDIAN[:2], np.uint8)
+        no_frame = rows[:, 12:16] == np.array([_FRAME_ID_LENGTH, 0, 0, 0], np.uint8)
+        if not (little_endian.all() and no_frame.all()):
+            return None
+        return np.ascontiguousarray(rows).view(self.dtype).ravel()
 
     def blank(self, count: int) -> np.ndarray:
         """Return `count` messages with all values zero, as a structured array to be filled in."""

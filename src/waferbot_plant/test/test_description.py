@@ -171,6 +171,7 @@ def _drop(*keys):
         ),
         (_set('motors', 'z_linear', {}), ['z_linear']),
         (_set('encoders', 'y_linear', 'counts_per_revolution', 4), ['wrong unit', 'counts_per_m']),
+        (_set('encoders', 'y_linear', 'counts_per_m', 0), ['counts_per_m', 'must not be zero']),
         (_set('axes', 'y_linear', 'frist'), ['axes.y_linear', "'first'"]),
         (
             _set('frictions', {'f': {'coordinate': 'first', 'speed_m_s': [0, 1], 'force_n': [1]}}),

@@ -191,6 +191,9 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
         'minimum': 'must be at least {}',
         'maximum': 'must be at most {}',
         'type': 'must be of type {}',
+        'const': 'must be {}',
+        'not': 'must not be zero',
+        'minLength': 'must not be empty',
         'enum': 'must be one of {}',
         'minItems': 'must have at least {} entries',
         'maxItems': 'must have at most {} entries',
@@ -198,7 +201,7 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
     }
     rule = error.validator_value
     rule = ', '.join(map(str, rule)) if isinstance(rule, list) else rule
-    text = texts.get(error.validator, error.message).format(rule)
+    text = texts.get(str(error.validator), 'is nothing that may stand there').format(rule)
     raise document.error(key, f'is {error.instance!r}; it {text}')
 
 

@@ -40,6 +40,7 @@ from waferbot_lockstep.node import (
     LOCKSTEP,
     REALTIME,
     LockstepNode,
+    Outlet,
     Trouble,
     latched_qos,
     lockstep_qos,
@@ -104,8 +105,8 @@ class PlantNode(LockstepNode):
         self._due = False
         self._measured_s = 0.0
         self._warm_up(machine)
-        self._clock_publisher = self.create_publisher(ClockMessage, CLOCK[0], lockstep_qos())
-        self._joint_publisher = self.create_publisher(JointState, JOINT_STATES[0], lockstep_qos())
+        self._clock_outlet = self._slow_outlet(ClockMessage, CLOCK[0])
+        self._joint_outlet = self._slow_outlet(JointState, JOINT_STATES[0])
         self._description_publisher = self.create_publisher(
             String, ROBOT_DESCRIPTION[0], latched_qos()
         )
@@ -113,6 +114,9 @@ class PlantNode(LockstepNode):
         self.create_service(SetBool, '~/pause', self._on_pause)
         if self._recorder_window:
             self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())
+
+    def _slow_outlet(self, message_type: Any, name: str) -> Outlet:
+        return Outlet(self.create_publisher(message_type, name, lockstep_qos()), self.exchange)
 
     @property
     def tick(self) -> int:
@@ -213,12 +217,12 @@ class PlantNode(LockstepNode):
 
     def _publish_slow_topics(self, tick: int) -> None:
         stamp_ns = self.timing.stamp_ns(tick)
-        self.publish(self._clock_publisher, clock_message(stamp_ns))
+        self.publish(self._clock_outlet, clock_message(stamp_ns))
         plant.joint_positions(
             self._model_state, self._model_parameters, self._position, self._velocity
         )
         self.publish(
-            self._joint_publisher,
+            self._joint_outlet,
             joint_state_message(
                 stamp_ns,
                 AXES,

@@ -14,6 +14,7 @@ joint `machine_to_ros` from `base_link` to `base`: a turn by +90 degrees about x
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from xml.etree import ElementTree
 
 import numpy as np
@@ -29,8 +30,14 @@ LIMITS = {
 COLOURS = ('0.55 0.57 0.60 1', '0.30 0.45 0.65 1', '0.70 0.45 0.25 1', '0.35 0.55 0.40 1')
 
 
-def urdf(description: Description) -> str:
-    """Return the robot's URDF as text."""
+def urdf(
+    description: Description, dynamics: Mapping[str, tuple[float, float]] | None = None
+) -> str:
+    """
+    Return the robot's URDF as text.
+
+    `dynamics` are damping (N s/m, Nm s/rad) and friction (N, Nm) per axis, for `<dynamics>`.
+    """
     robot = ElementTree.Element('robot', name='waferbot')
     ElementTree.SubElement(robot, 'link', name=WORLD)
     ElementTree.SubElement(robot, 'link', name=BASE)
@@ -44,6 +51,12 @@ def urdf(description: Description) -> str:
         colour = COLOURS[len(place) % len(COLOURS)]
         _link(robot, description.bodies[joint.child], place[joint.child], colour)
         _moving_joint(robot, description, joint, place[joint.child] - place[joint.parent])
+    for axis, (damping, friction) in (dynamics or {}).items():
+        element = robot.find(f"joint[@name='{axis}']")
+        if element is not None:
+            ElementTree.SubElement(
+                element, 'dynamics', damping=f'{damping:.9g}', friction=f'{friction:.9g}'
+            )
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding='unicode') + '\n'
 

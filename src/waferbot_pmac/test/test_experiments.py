@@ -339,3 +339,19 @@ _documents = st.recursive(
 def test_any_text_is_an_experiment_or_an_error_of_the_user(text):
     with contextlib.suppress(UserError):
         load_experiment(text + '\n')
+
+
+@pytest.mark.parametrize(
+    'content',
+    [
+        'kind: random, start_s: 0.1, hold_s: 0.02, amplitude_counts: 100, seed: {}',
+        'kind: multisine, start_s: 0.1, period_s: 0.1, first_frequency_hz: 10, '
+        'last_frequency_hz: 90, amplitude_counts: 100, seed: {}',
+    ],
+)
+def test_a_seed_may_be_written_as_a_whole_number_with_a_point(content):
+    whole, with_point = (
+        positions(motion(0.5, 'y_linear', content.format(seed))) for seed in ('7', '7.0')
+    )
+    assert whole.any()
+    np.testing.assert_array_equal(whole, with_point)

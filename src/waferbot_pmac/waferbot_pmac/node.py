@@ -35,7 +35,7 @@ from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node import LockstepNode, Trouble, run_node
 from waferbot_msgs.action import RunExperiment
-from waferbot_pmac import servo
+from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
 from waferbot_pmac.killed import KilledMotors
@@ -51,11 +51,15 @@ class Motion:
     `positions` has the commanded position per servo cycle, counts, relative to where it began.
     """
 
-    def __init__(self, positions: np.ndarray, start: np.ndarray, first_cycle: int) -> None:
+    def __init__(
+        self, experiment: str, positions: np.ndarray, start: np.ndarray, first_cycle: int
+    ) -> None:
         """Begin at servo cycle `first_cycle` from the commanded positions `start`, in counts."""
+        self.experiment = experiment
         self.positions = positions
         self.start = start
         self.first_cycle = first_cycle
+        self.offsets = np.zeros_like(positions)
         self.peak_following_error = np.zeros(len(AXES))
         moving = np.flatnonzero(np.any(positions != positions[-1], axis=1))
         self._last_change = int(moving[-1]) + 1 if len(moving) else 0
@@ -64,6 +68,10 @@ class Motion:
         """Return the commanded positions in counts; behind the end, the last ones."""
         place = min(cycle - self.first_cycle, len(self.positions) - 1)
         return self.start + self.positions[place]
+
+    def offset(self, cycle: int) -> np.ndarray:
+        """Return what the servo adds to its output, DAC units; behind the end, the last ones."""
+        return self.offsets[min(cycle - self.first_cycle, len(self.offsets) - 1)]
 
     def at_rest(self, cycle: int) -> bool:
         """Tell whether the commanded positions stay as they are from `cycle` on."""
@@ -93,6 +101,11 @@ class PmacNode(LockstepNode):
         self._primed = False
         self._experiment = self.declare_fixed(
             'experiment', 'constant', 'what begins at tick 0: name, file or text of an experiment'
+        )
+        self._tables = compensation.load_tables(
+            self.declare_fixed(
+                'compensation', '', 'currents to add by what is commanded: CSV file or its text'
+            )
         )
         self._motion = self._load(self._experiment, np.zeros(len(AXES)))
         self._counts_before = np.zeros(len(ENCODERS), np.int64)
@@ -152,6 +165,7 @@ class PmacNode(LockstepNode):
         for behind in range(min(missed, int(self.timing.servo_hz)), 0, -1):
             share = 1.0 - behind / (missed + 1)
             between = self._counts_before + np.rint(share * (counts - self._counts_before))
+            self._model_state['offset'][0] = self._motion.offset(cycle - behind)
             servo.step(
                 self._model_state,
                 self._model_parameters,
@@ -176,9 +190,11 @@ class PmacNode(LockstepNode):
             self._motion.first_cycle = (
                 self._cycle
             )  # not 0 if the plant was there before, in real time
+            self._compensate(self._motion)
             servo.prime(self._model_state, self._model_parameters, counts, self._motion.start)
             self._primed = True
         commanded = self._motion.commanded(self._cycle)
+        self._model_state['offset'][0] = self._motion.offset(self._cycle)
         servo.step(self._model_state, self._model_parameters, counts, commanded, self._current)
         state = self._model_state[0]
         self.give(CURRENT_COMMAND, tick, ALL_AXES, self._current.tolist())
@@ -216,10 +232,21 @@ class PmacNode(LockstepNode):
     # ---- experiments -----------------------------------------------------------------------------
 
     def _load(self, experiment: str, start: np.ndarray) -> Motion:
-        positions = commanded_positions(
-            load_experiment(experiment), self._model_parameters, self.timing.servo_hz
+        loaded = load_experiment(experiment)
+        positions = commanded_positions(loaded, self._model_parameters, self.timing.servo_hz)
+        motion = Motion(loaded.name, positions, start, self._cycle)
+        self._compensate(motion)
+        return motion
+
+    def _compensate(self, motion: Motion) -> None:
+        """Find what the servo adds to its output in every cycle, from where the motion begins."""
+        motion.offsets = compensation.offsets(
+            self._tables,
+            motion.experiment,
+            motion.start + motion.positions,
+            self._model_parameters,
+            self.timing.servo_hz,
         )
-        return Motion(positions, start, self._cycle)
 
     def _consider(self, request: Any) -> GoalResponse:
         return GoalResponse.REJECT if self._goal is not None else GoalResponse.ACCEPT

@@ -30,9 +30,9 @@ Order of one cycle
 ------------------
 Read the encoders and filter them (`feedback_filter`); CP, CV, CA; following error and its fatal and
 warning limits (Ixx11, Ixx12, and Ixx63 < 0); limit the error (Ixx67); deadband (Ixx64, Ixx65); sum of
-P, I, feedforwards and D, times Ixx30; notch (Ixx36-39); friction feedforward (Ixx68) and bias
-(Ixx29); output limit (Ixx69); integrator for the next cycle; current protection (Ixx57, Ixx58);
-current, `command_delay` servo interrupts later.
+P, I, feedforwards and D, times Ixx30; notch (Ixx36-39); friction feedforward (Ixx68), bias (Ixx29)
+and `offset` (`compensation`); output limit (Ixx69); integrator for the next cycle; current
+protection (Ixx57, Ixx58); current, `command_delay` servo interrupts later.
 
 Filter and delay are off by default. The filter is the exponential one of the encoder conversion
 table, run at every servo interrupt,
@@ -131,6 +131,8 @@ SERVO_STATE = np.dtype(
         # DAC units: results that wait to go out, the newest at place 0; none if `delaying` is 0
         ('waiting_output', 'f8', (MOTORS, LONGEST_COMMAND_DELAY)),
         ('delaying', 'u1', (MOTORS,)),
+        # DAC units, set from outside before a cycle: what is added to the output beside Ixx29
+        ('offset', 'f8', (MOTORS,)),
     ],
     align=True,
 )
@@ -186,6 +188,7 @@ def prime(state, parameters, counts, commanded_position):
         s['in_position'][i] = 0
         s['killed'][i] = 0
         s['faults'][i] = 0
+        s['offset'][i] = 0.0
 
 
 @compiled
@@ -323,6 +326,8 @@ def _close_loop(s, p, i, position_counts, velocity_counts, commanded_position):
         output += p['Ixx68'][i]
     elif command_velocity < 0.0:
         output -= p['Ixx68'][i]
+    if s['offset'][i] != 0.0:
+        output += s['offset'][i]
     limit = p['Ixx69'][i]
     limited = abs(output) >= limit
     if limited:

@@ -5,6 +5,7 @@ Launch the twin: plant, PMAC and Copley, each its own node, running until stoppe
     ros2 launch waferbot_twin twin.launch.py
     ros2 launch waferbot_twin twin.launch.py model:=rigid copley_per_axis:=true
     ros2 launch waferbot_twin twin.launch.py without:=pmac      # then start your own controller
+    ros2 launch waferbot_twin twin.launch.py experiment:=step record:=runs/first
     ros2 action send_goal /run_experiment waferbot_msgs/action/RunExperiment "{experiment: step}"
 
 With a namespace everything of the twin is in it, its clock and transforms as well, so that several twins
@@ -13,15 +14,18 @@ live beside each other. Tools that follow the time of one need
 """
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
 from waferbot_twin.models import load_model
+
+TO_LEAVE_S = '15'
+"""Wall time to leave in after SIGINT: nodes stay until heard, a recorder until all is written."""
 
 ARGUMENTS = (
     DeclareLaunchArgument('model', default_value='rigid', description='name or file of the model'),
@@ -50,6 +54,11 @@ ARGUMENTS = (
     ),
     DeclareLaunchArgument(
         'realtime_factor', default_value='1.0', description='sim seconds per wall second'
+    ),
+    DeclareLaunchArgument(
+        'record',
+        default_value='',
+        description='record to this new folder until the twin is stopped; empty: do not',
     ),
     DeclareLaunchArgument('namespace', default_value='', description='namespace of all nodes'),
     DeclareLaunchArgument(
@@ -80,6 +89,10 @@ def make_nodes(context):
             nodes[f'copley_{axis}'] = ('copley', parameters['copley'], {'axes': [axis]})
     else:
         nodes['copley'] = ('copley', parameters['copley'], {})
+    if argument['record']:
+        nodes['plant'][2]['start_paused'] = True  # the recorder lets time go
+    if argument['record'] and argument['timekeeping'] == 'lockstep':
+        nodes['plant'][2]['recorder_window'] = RECORDER_WINDOW
     without = [name.strip() for name in argument['without'].split(',') if name.strip()]
     unknown = [name for name in without if name not in nodes]
     if unknown:
@@ -87,6 +100,7 @@ def make_nodes(context):
     machine = load_machine(parameters['plant'].get('description', 'rigid'))
     return [
         *state_publisher(argument['state_publisher'], argument['namespace'], machine),
+        *recorder(argument),
         *(
             twin_node(kind, name, argument['namespace'], [own, common, extra])
             for name, (kind, own, extra) in nodes.items()
@@ -104,8 +118,34 @@ def twin_node(kind, name, namespace, parameters):
         namespace=namespace,
         output='screen',
         emulate_tty=True,
+        sigterm_timeout=TO_LEAVE_S,
         parameters=parameters,
     )
+
+
+def recorder(argument):
+    """
+    Return the node that records, if it is wanted.
+
+    Where it cannot record, the plant would wait for it at tick 0: then everything ends.
+    """
+    if not argument['record']:
+        return []
+    told = ('model', 'experiment', 'without', 'timekeeping')
+    return [
+        Node(
+            package='waferbot_twin',
+            executable='recorder',
+            namespace=argument['namespace'],
+            output='screen',
+            sigterm_timeout=TO_LEAVE_S,
+            on_exit=Shutdown(reason='the recorder has ended'),
+            arguments=[
+                argument['record'],
+                *(f'--{name}={argument[name]}' for name in told),
+            ],
+        )
+    ]
 
 
 def state_publisher(wanted, namespace, machine):

@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.package_data import package_data
+from waferbot_twin.cli.main import main
 from waferbot_twin.engines import inprocess
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.reader import read_content, recording_file
@@ -35,6 +36,22 @@ def messages(tmp_path_factory):
         topic: deserialize_message(data[0], message_type(content.types[topic]))
         for topic, data in content.messages.items()
         if data
+    }
+
+
+@pytest.fixture(scope='module')
+def overlay(tmp_path_factory):
+    """The topics of an overlay: a log of the machine beside its replay."""
+    folder = tmp_path_factory.mktemp('overlay')
+    log, model = str(folder / 'log'), ('--model', 'rigid')
+    assert main(['synthesize', '--experiment', 'step', *model, '--out', log]) == 0
+    assert main(['import', log, *model, '--out', str(folder / 'imported')]) == 0
+    out = str(folder / 'overlay')
+    assert main(['replay', str(folder / 'imported'), *model, '--out', out]) == 0
+    content = read_content([recording_file(folder / 'overlay')])
+    return {
+        topic: deserialize_message(data[0], message_type(content.types[topic]))
+        for topic, data in content.messages.items()
     }
 
 
@@ -71,9 +88,9 @@ def of_plotjuggler(messages, path):
     return '/' + topic, fields
 
 
-def curves_of_foxglove():
+def curves_of_foxglove(layout='foxglove.json'):
     """Return the paths of every plot of the layout."""
-    panels = json.loads((LAYOUTS / 'foxglove.json').read_text('utf-8'))['configById']
+    panels = json.loads((LAYOUTS / layout).read_text('utf-8'))['configById']
     return [
         [path['value'] for path in panel['paths']]
         for name, panel in panels.items()
@@ -81,9 +98,9 @@ def curves_of_foxglove():
     ]
 
 
-def curves_of_plotjuggler():
+def curves_of_plotjuggler(layout='plotjuggler.xml'):
     """Return the paths of every plot of the layout."""
-    root = ElementTree.parse(LAYOUTS / 'plotjuggler.xml').getroot()
+    root = ElementTree.parse(LAYOUTS / layout).getroot()
     return [[curve.get('name') for curve in plot.iter('curve')] for plot in root.iter('plot')]
 
 
@@ -120,8 +137,35 @@ def assert_all_is_shown(plots):
             assert curves in shown
 
 
-def test_foxglove_places_every_panel_once():
-    layout = json.loads((LAYOUTS / 'foxglove.json').read_text('utf-8'))
+def test_layouts_of_overlays_name_what_is_in_one(overlay):
+    wanted = {
+        axis: [
+            curves
+            for signal in ('position', 'current')
+            for curves in (
+                {f'/measured/{axis}/{signal}', f'/simulated/{axis}/{signal}'},
+                {f'/residual/{axis}/{signal}'},
+            )
+        ]
+        for axis in AXES
+    }
+    in_foxglove = [
+        [of_foxglove(path) for path in plot]
+        for plot in curves_of_foxglove('overlay_foxglove.json')
+    ]
+    in_plotjuggler = [
+        [(path.rsplit('/', 1)[0], [path.rsplit('/', 1)[1]]) for path in plot]
+        for plot in curves_of_plotjuggler('overlay_plotjuggler.xml')
+    ]
+    for plots in (in_foxglove, in_plotjuggler):
+        for topic, fields in chain(*plots):
+            value_at(overlay, topic, fields)
+        assert [{topic for topic, _ in plot} for plot in plots] == list(chain(*wanted.values()))
+
+
+@pytest.mark.parametrize('file', ['foxglove.json', 'overlay_foxglove.json'])
+def test_foxglove_places_every_panel_once(file):
+    layout = json.loads((LAYOUTS / file).read_text('utf-8'))
     panels = layout['configById']
 
     def placed(node):
@@ -145,8 +189,9 @@ def test_foxglove_shows_the_machine_moving(messages):
     assert panels['3D!machine']['followTf'] in links(messages)
 
 
-def test_plotjuggler_counts_its_splits():
-    root = ElementTree.parse(LAYOUTS / 'plotjuggler.xml').getroot()
+@pytest.mark.parametrize('file', ['plotjuggler.xml', 'overlay_plotjuggler.xml'])
+def test_plotjuggler_counts_its_splits(file):
+    root = ElementTree.parse(LAYOUTS / file).getroot()
     splitters = list(root.iter('DockSplitter'))
     assert splitters
     for splitter in splitters:

@@ -8,6 +8,7 @@ both round down differ by half a step. The motions are exact, so that nothing el
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from waferbot_twin.cli.main import main
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.archive import write_archive
+from waferbot_twin.logs.hold import evidence
 from waferbot_twin.logs.load import load_log
 from waferbot_twin.logs.mapping import mapping_text
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -105,6 +107,57 @@ def test_a_log_that_is_faster_than_its_drive_tells_it_itself(random, motor, tmp_
     linear = mapped(file, ', hold: linear')
     assert not linear['x_rotate', 'force'].held
     assert left_over(log, motor) < 0.1 * left_over(linear, motor)
+
+
+def test_the_import_says_how_a_drive_was_taken_and_what_the_log_speaks_for(
+    random, tmp_path, capsys
+) -> None:
+    """A held drive, taken both ways; one that goes straight, of a smooth motion; one at rest."""
+    file = held_drive(random, tmp_path)
+    for hold, more in (
+        ('linear', ''),
+        ('linear', ', hold: linear'),
+        ('zero_order', ', hold: zero_order'),
+    ):
+        (one,) = evidence(mapped(file, more))
+        assert (one.taken, one.speaks_for) == (hold, 'zero_order')
+        assert one.told_by == ('mapping' if more else 'kind')
+        assert one.against == (hold == 'linear')
+        assert one.late['linear'][0] == pytest.approx(-0.5, abs=0.1)
+        assert one.late['zero_order'][0] == pytest.approx(0.0, abs=0.1)
+    (one,) = evidence(mapped(held_drive(random, tmp_path, 3, 400)))
+    assert (one.taken, one.told_by, one.speaks_for) == ('zero_order', 'samples', 'zero_order')
+    assert 'each value stands for 3 samples' in str(one)
+
+    time_s = 4e-3 * np.arange(4000)
+    wave = 2.0 * np.pi * random.uniform(2.0, 25.0, 12)
+    phase = np.outer(time_s, wave) + random.uniform(0.0, 2.0 * np.pi, 12)
+    smooth = MeasuredLog(
+        'smooth',
+        (
+            Signal(
+                'position', 'x_rotate', 'rad', time_s, np.sum(-np.sin(phase) / wave**2, axis=1)
+            ),
+            Signal('current', 'x_rotate', 'A', time_s, np.sum(np.sin(phase), axis=1)),
+        ),
+    )
+    (one,) = evidence(smooth)
+    assert (one.taken, one.speaks_for, one.against) == ('linear', 'linear', False)
+    still = replace(smooth['x_rotate', 'position'], value=np.zeros(4000))
+    (one,) = evidence(smooth.with_signal(still))
+    assert one.speaks_for == ''
+    assert 'does not tell' in str(one)
+
+    write_archive(mapped(held_drive(random, tmp_path)), tmp_path / 'kept')
+    arguments = ['import', str(tmp_path / 'kept'), '--out', str(tmp_path / 'new')]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert 'x_rotate.force: taken as straight between samples (by its kind)' in said
+    assert 'the log speaks for another way, held' in said
+    assert 'hold: zero_order in the mapping' in said
+    assert main([*arguments, '--force', '--json']) == 0
+    (told,) = json.loads(capsys.readouterr().out)['between_samples']
+    assert told['speaks_for'] == 'zero_order'
 
 
 def test_a_measured_current_with_steps_is_not_taken_for_held(random, tmp_path) -> None:

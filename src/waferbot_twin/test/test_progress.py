@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import io
+
 import pytest
 
 from waferbot_twin.cli import console
@@ -60,6 +62,35 @@ def test_too_little_to_tell_from(capsys, clock):
 
 def test_the_end_is_no_news(capsys, clock):
     assert lines_of(capsys, clock, [(5.0, 1, 2), (60.0, 2, 2)]) == []
+
+
+def test_every_stage_has_its_line_once(capsys, clock):
+    with console.progress_of_stages('diagnosis') as progress:
+        for _ in range(3):  # rounds
+            for stage in ('screening', 'fitting'):
+                for done in range(11):
+                    clock(1.0)
+                    progress(stage, done, 10)
+        progress('judging', 1, 1)
+    assert capsys.readouterr().err.splitlines() == [
+        'diagnosis, screening: about 8 s left',
+        'diagnosis, fitting: about 8 s left',
+    ]
+
+
+def test_on_a_terminal_the_bar_names_its_stage(monkeypatch):
+    written = io.StringIO()
+    terminal = console.Console(file=written, force_terminal=True, width=100)
+    monkeypatch.setattr(console, 'error_console', terminal)
+    monkeypatch.setattr(console, 'QUIET_S', 0.0)
+    with console.progress_of_stages('diagnosis') as progress:
+        for stage in ('screening', 'fitting'):
+            for done in range(3):
+                progress(stage, done, 4)
+                terminal.print(f'at {done}')
+    assert 'diagnosis, screening' in written.getvalue()
+    assert 'diagnosis, fitting' in written.getvalue()
+    assert '50%' in written.getvalue()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-waferbot for scripts and notebooks: models, logs, simulation, diagnosis, identification.
+waferbot for scripts and notebooks: models, logs, simulation, diagnosis, identification, tuning.
 
     import waferbot as wb
 
@@ -24,6 +24,7 @@ from waferbot.logs import Log, load_logs
 from waferbot.model import Model, load_model
 from waferbot.simulation import Run, simulate
 from waferbot.synthesis import Synthesis, synthesize
+from waferbot.tuning import Tuned, tune
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.settings import Settings
 
@@ -35,6 +36,7 @@ __all__ = [
     'Run',
     'Settings',
     'Synthesis',
+    'Tuned',
     'UserError',
     'diagnose',
     'identify',
@@ -42,4 +44,5 @@ __all__ = [
     'load_model',
     'simulate',
     'synthesize',
+    'tune',
 ]

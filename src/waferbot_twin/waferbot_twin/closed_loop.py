@@ -1,20 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Small motion of the closed loop: its eigenvalues over one servo cycle.
+Small motion of the closed loop, sampled at the servo cycles.
 
-The machine at home is linearised, M z'' + D z' + K z = B i, dry friction left out; the current loop
-is a first-order lag; the encoders are read with their delay, the servo law is that of the PMAC
-without limits, and the current command is held over a servo cycle. One servo cycle is then a
-matrix, and the loop is stable if no eigenvalue lies outside the unit circle. Growth rates are
-log |eigenvalue| / cycle in 1/s, frequencies below half of the servo rate (what is above is folded).
+The machine at a pose is linearised, M z'' + D z' + K z = B i, dry friction left out; the current loop
+is a first-order lag; the encoders are read with their delay, and the current command is held over a
+servo cycle. What the servo sees is then a linear system with one step per servo cycle, exactly
+(`SampledPlant`), and so is the servo without its limits (`ServoLaw`): proportional, derivative and
+integral gain, notch, feedback filter and command delay. The loop is stable if no eigenvalue of both
+together lies outside the unit circle. Growth rates are log |eigenvalue| / cycle in 1/s, frequencies
+below half of the servo rate (what is above is folded).
 
 What it is for: to see within milliseconds whether sampling and delay have turned the derivative
-gain into negative damping of a structural mode. The verdict on a machine comes from running it:
-friction may hold a mode that grows here.
+gain into negative damping of a structural mode, and how far the gains are from that (`tuning`). The
+verdict on a machine comes from running it: friction may hold a mode that grows here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +35,8 @@ Matrix = NDArray[np.float64]
 CURRENT_LOOP_HZ = 1500.0
 """Bandwidth that the gains of the amplifiers' current loops are set for, Hz."""
 
+NOTCH = ('Ixx36', 'Ixx37', 'Ixx38', 'Ixx39')
+
 
 @dataclass(frozen=True)
 class LoopMode:
@@ -41,12 +46,41 @@ class LoopMode:
     frequency_hz: float
 
 
+@dataclass(frozen=True, eq=False)
+class SampledPlant:
+    """
+    Machine and amplifiers over one servo cycle: x(k+1) = A x(k) + B u(k), y(k) = C x(k).
+
+    u (3,) are the current commands, A; y (4,) the counts that the servo sees in cycle k, before it
+    commands u(k). x holds z, z', the currents and the counts seen.
+    """
+
+    state: Matrix
+    input: Matrix
+    output: Matrix
+
+
+@dataclass(frozen=True, eq=False)
+class ServoLaw:
+    """The servo: x(k+1) = A x(k) + B y(k), u(k) = C x(k) + D y(k); y counts (4,), u in A (3,)."""
+
+    state: Matrix
+    input: Matrix
+    output: Matrix
+    feedthrough: Matrix
+
+
 def loop_modes(machine: Machine, servo: np.void, timing: Timing) -> list[LoopMode]:
     """
     Return the modes of a machine under a servo (its `SERVO_PARAMETERS` record), fastest growth
     first.
     """
-    eigenvalues = np.linalg.eigvals(_one_cycle(machine, servo, timing))
+    return modes_of(closed(sampled_plant(machine, timing), servo_law(servo)), timing)
+
+
+def modes_of(cycle: Matrix, timing: Timing) -> list[LoopMode]:
+    """Return the modes of a system that `cycle` takes over one servo cycle, fastest growth first."""
+    eigenvalues = np.linalg.eigvals(cycle)
     cycle_s = timing.servo_divider * timing.tick_s
     rates = np.log(eigenvalues[np.abs(eigenvalues) > 1e-12].astype(complex)) / cycle_s
     modes = [
@@ -66,60 +100,140 @@ def fastest_growth(modes: list[LoopMode], above_hz: float) -> float:
     return max(mode.growth_rate for mode in modes if mode.frequency_hz > above_hz)
 
 
-def _one_cycle(machine: Machine, servo: np.void, timing: Timing) -> Matrix:
-    """
-    Return the matrix of one servo cycle.
+def closed(plant: SampledPlant, law: ServoLaw) -> Matrix:
+    """Return the matrix of one servo cycle of both together."""
+    return np.block(
+        [
+            [plant.state + plant.input @ law.feedthrough @ plant.output, plant.input @ law.output],
+            [law.input @ plant.output, law.state],
+        ]
+    )
 
-    It acts on [z, z', currents (3), counts seen (4), counts seen a cycle before (4), integrals of
-    the following error (3)].
+
+def sampled_plant(
+    machine: Machine, timing: Timing, positions: Mapping[str, float] | None = None
+) -> SampledPlant:
+    """
+    Return machine and amplifiers at a pose (m, rad; home by default) over one servo cycle.
+
+    A delay of the encoders of more than a servo cycle is taken as one cycle. Raises `UserError` for an
+    axis that the machine does not have.
     """
     steps = timing.servo_divider // timing.encoder_divider
-    delay = machine.description.encoder_delay
-    over_encoder_cycle, from_command = _machine_over_encoder_cycle(machine, timing)
+    seen_after = max(0, steps - machine.description.encoder_delay)
+    over_encoder_cycle, from_command = _over_encoder_cycle(machine, timing, positions)
     states = len(over_encoder_cycle)
     read = _encoder_matrix(machine, states)
-    proportional, derivative, integral, error = _servo_matrices(servo, timing)
 
-    size = states + 11
-    motion, seen = slice(0, states), slice(states, states + 4)
-    before, integrals = slice(states + 4, states + 8), slice(states + 8, size)
-    command = np.zeros((3, size))
-    command[:, seen] = proportional + derivative
-    command[:, before] = -derivative
-    command[:, integrals] = integral
-
-    def after(count: int) -> Matrix:
-        """Return motion after so many encoder cycles, with the command held."""
-        result = np.zeros((states, size))
-        result[:, motion] = np.linalg.matrix_power(over_encoder_cycle, count)
+    def after(count: int) -> tuple[Matrix, Matrix]:
+        """Return motion after so many encoder cycles: by itself, and by a command that is held."""
         held = sum(
             (np.linalg.matrix_power(over_encoder_cycle, power) for power in range(count)),
             np.zeros((states, states)),
         )
-        return result + held @ from_command @ command
+        return np.linalg.matrix_power(over_encoder_cycle, count), held @ from_command
 
-    cycle = np.zeros((size, size))
-    cycle[motion] = after(steps)
-    # A delay of more than a servo cycle would need more memory; it is taken as one cycle.
-    cycle[seen] = read @ after(max(0, steps - delay))
-    cycle[before, seen] = np.eye(4)
-    cycle[integrals, integrals] = np.eye(3)
-    cycle[integrals, seen] = error
-    return cycle
+    size = states + len(ENCODERS)
+    state, command = np.zeros((size, size)), np.zeros((size, len(AXES)))
+    for rows, reading, count in (
+        (slice(0, states), np.eye(states), steps),
+        (slice(states, size), read, seen_after),
+    ):
+        by_itself, by_command = after(count)
+        state[rows, :states] = reading @ by_itself
+        command[rows] = reading @ by_command
+    output = np.zeros((len(ENCODERS), size))
+    output[:, states:] = np.eye(len(ENCODERS))
+    return SampledPlant(state, command, output)
 
 
-def _machine_over_encoder_cycle(machine: Machine, timing: Timing) -> tuple[Matrix, Matrix]:
+def servo_law(servo: np.void) -> ServoLaw:
+    """
+    Return the servo of all three axes, from its `SERVO_PARAMETERS` record.
+
+    An axis' state is its filtered position and velocity feedback of the cycle before (counts), the sum
+    of its following errors (counts), and what waits in notch and command delay (A). Limits, deadband
+    and a longer cycle (Ixx60) are left out.
+    """
+    laws = [_axis_law(servo, axis) for axis in range(len(AXES))]
+    return ServoLaw(
+        scipy.linalg.block_diag(*(law.state for law in laws)),
+        np.vstack([law.input for law in laws]),
+        scipy.linalg.block_diag(*(law.output for law in laws)),
+        np.vstack([law.feedthrough for law in laws]),
+    )
+
+
+def servo_gain(servo: np.void, axis: int) -> float:
+    """Return what 2^-19 Ixx30 stands for, A: current per count of error is that times Ixx08."""
+    amperes = float(servo['amplifier_peak_current'][axis]) / 32768.0
+    return 2.0**-19 * float(servo['Ixx30'][axis]) * amperes
+
+
+def _axis_law(servo: np.void, axis: int) -> ServoLaw:
+    """Return the servo of one axis."""
+    gain = servo_gain(servo, axis)
+    proportional = gain * servo['Ixx08'][axis]
+    derivative = gain * servo['Ixx31'][axis] * servo['Ixx09'][axis] / 128.0
+    integral = proportional * servo['Ixx33'][axis] / 2.0**23
+    keeps = servo['feedback_filter'][axis] / (1.0 + servo['feedback_filter'][axis])
+    position, velocity = np.zeros(len(ENCODERS)), np.zeros(len(ENCODERS))
+    position[int(servo['Ixx03'][axis])] = 1.0 - keeps
+    velocity[int(servo['Ixx04'][axis])] = 1.0 - keeps
+
+    # [filtered position, filtered velocity feedback, integral]; the new ones are kept x + (1 - keeps) y.
+    state = np.diag([keeps, keeps, 1.0])
+    state[2, 0] = -keeps
+    law = ServoLaw(
+        state,
+        np.vstack([position, velocity, -position]),
+        np.array([[-proportional * keeps, derivative * (1.0 - keeps), integral]]),
+        (-proportional * position - derivative * velocity)[None, :],
+    )
+    n1, n2, d1, d2 = (float(servo[name][axis]) for name in NOTCH)
+    if any((n1, n2, d1, d2)):
+        # y = v + N1 v1 + N2 v2 - D1 y1 - D2 y2, in the transposed direct form.
+        notch_state = np.array([[-d1, 1.0], [-d2, 0.0]])
+        law = _in_series(
+            law, notch_state, np.array([[n1 - d1], [n2 - d2]]), np.array([[1.0, 0.0]]), 1.0
+        )
+    delay = int(servo['command_delay'][axis])
+    if delay:
+        law = _in_series(
+            law, np.eye(delay, k=-1), np.eye(delay, 1), np.eye(1, delay, delay - 1), 0.0
+        )
+    return law
+
+
+def _in_series(
+    law: ServoLaw, state: Matrix, given: Matrix, output: Matrix, feedthrough: float
+) -> ServoLaw:
+    """Return a law with a system of one input and output behind it."""
+    return ServoLaw(
+        np.block(
+            [[law.state, np.zeros((len(law.state), len(state)))], [given @ law.output, state]]
+        ),
+        np.vstack([law.input, given @ law.feedthrough]),
+        np.hstack([feedthrough * law.output, output]),
+        feedthrough * law.feedthrough,
+    )
+
+
+def _over_encoder_cycle(
+    machine: Machine, timing: Timing, positions: Mapping[str, float] | None
+) -> tuple[Matrix, Matrix]:
     """Return how [z, z', currents] goes on over an encoder cycle, by itself and by the command."""
     parameters = machine.parameters()
-    state = machine.initial_state(parameters)
+    state = machine.initial_state(parameters, positions)
     size = len(machine.coordinates)
     mass = np.zeros((size, size))
     mass_matrix(state, parameters, mass)
     force = np.zeros((size, len(AXES)))
     for place, axis in enumerate(AXES):
-        motor = machine.description.motors[axis]
-        row, ratio = machine.assembly.placing[motor.coordinate]
-        force[row, place] = ratio * motors.force_constant(motor)
+        if axis in machine.description.motors:
+            motor = machine.description.motors[axis]
+            row, ratio = machine.assembly.placing[motor.coordinate]
+            force[row, place] = ratio * motors.force_constant(motor)
     # The amplifier corrects the share 2 pi f dt of its error in a tick: a lag with this rate.
     lag = -np.log(1.0 - 2.0 * np.pi * CURRENT_LOOP_HZ * timing.tick_s) / timing.tick_s
     states = 2 * size + 3
@@ -137,24 +251,10 @@ def _machine_over_encoder_cycle(machine: Machine, timing: Timing) -> tuple[Matri
 
 def _encoder_matrix(machine: Machine, states: int) -> Matrix:
     """Return counts (4) from [z, z', currents]."""
-    read = np.zeros((4, states))
+    read = np.zeros((len(ENCODERS), states))
     for place, name in enumerate(ENCODERS):
-        encoder = machine.description.encoders[name]
-        column, ratio = machine.assembly.placing[encoder.coordinate]
-        read[place, column] = encoder.counts_per_unit * ratio
+        if name in machine.description.encoders:
+            encoder = machine.description.encoders[name]
+            column, ratio = machine.assembly.placing[encoder.coordinate]
+            read[place, column] = encoder.counts_per_unit * ratio
     return read
-
-
-def _servo_matrices(servo: np.void, timing: Timing) -> tuple[Matrix, Matrix, Matrix, Matrix]:
-    """Return what counts, their change and the integrals add to the current, A; and the error."""
-    proportional, derivative = np.zeros((3, 4)), np.zeros((3, 4))
-    integral, error = np.zeros((3, 3)), np.zeros((3, 4))
-    for axis in range(3):
-        amperes = servo['amplifier_peak_current'][axis] / 32768.0
-        gain = 2.0**-19 * servo['Ixx30'][axis] * amperes
-        position, velocity = int(servo['Ixx03'][axis]), int(servo['Ixx04'][axis])
-        proportional[axis, position] = -gain * servo['Ixx08'][axis]
-        derivative[axis, velocity] = -gain * servo['Ixx31'][axis] * servo['Ixx09'][axis] / 128.0
-        integral[axis, axis] = gain * servo['Ixx08'][axis] * servo['Ixx33'][axis] / 2.0**23
-        error[axis, position] = -1.0
-    return proportional, derivative, integral, error

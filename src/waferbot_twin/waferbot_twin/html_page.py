@@ -53,6 +53,12 @@ def save_picture(figure: Figure, file: Path | io.BytesIO) -> None:
     plt.close(figure)
 
 
+def set_title(figure: Figure, title: str) -> None:
+    """Write a title above all panels, whatever the height of the figure, and arrange them below it."""
+    figure.suptitle(title, fontsize=11, y=1.0 - 0.08 / figure.get_figheight(), va='top')
+    figure.tight_layout()
+
+
 def save_drawing(figure: Figure, file: Path) -> None:
     """
     Write a figure as what the name of `file` ends in (`.png`, `.svg`, `.pdf`), whole, and close it.

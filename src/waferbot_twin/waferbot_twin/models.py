@@ -25,6 +25,7 @@ from typing import Any
 
 import yaml
 
+from waferbot_copley.node_settings import COPLEY_PARAMETERS
 from waferbot_copley.settings import settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
@@ -34,6 +35,7 @@ from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import Parameter, did_you_mean
 from waferbot_plant.node_settings import PLANT_PARAMETERS
 from waferbot_plant.plant import description_names
+from waferbot_pmac.compensation import Table, load_tables, read_text
 from waferbot_pmac.i_variables import axis_parameters
 from waferbot_twin.recording.reader import Recording
 
@@ -45,8 +47,8 @@ NODES = ('plant', 'pmac', 'copley')
 
 _OF_NODE: dict[str, tuple[str, ...]] = {
     'plant': PLANT_PARAMETERS,
-    'pmac': ('experiment',),
-    'copley': ('axes',),
+    'pmac': ('experiment', 'compensation'),
+    'copley': COPLEY_PARAMETERS,
 }
 _OF_AXIS: dict[str, Callable[[str], Iterable[Parameter]]] = {
     'pmac': axis_parameters,
@@ -82,6 +84,11 @@ class Model:
         parameters = copy.deepcopy(self.parameters)
         _lay_over(parameters[node], settings)
         return replace(self, parameters=parameters)
+
+    @property
+    def compensation(self) -> tuple[Table, ...]:
+        """The tables by which the PMAC adds currents; raises `UserError` for what is wrong in them."""
+        return load_tables(str(self.parameters['pmac'].get('compensation') or ''))
 
     def of_axes(self, node: str) -> dict[str, dict[str, Any]]:
         """Return the settings per axis of a node, without those that are not an axis'."""
@@ -119,7 +126,15 @@ def load_model(name_or_path: str) -> Model:
     for file in (*base_files(), path):
         for node, section in _sections(read(file)).items():
             _lay_over(parameters[node], section)
+    _take_in_compensation(parameters['pmac'], path.parent)
     return Model(path.stem, path, parameters)
+
+
+def _take_in_compensation(pmac: dict[str, Any], folder: Path) -> None:
+    """Put the text of a file of compensation tables, named from the model's folder, in its place."""
+    named = str(pmac.get('compensation') or '')
+    if named and '\n' not in named:
+        pmac['compensation'] = read_text(folder / named)
 
 
 def load_model_or_machine(name_or_path: str) -> Model:

@@ -13,29 +13,40 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from waferbot_twin.html_page import save_drawing
-from waferbot_twin.recording.reader import Recording
-from waferbot_twin.response import AxisResponse, axis_responses
+from waferbot_twin.html_page import save_drawing, set_title
+from waferbot_twin.recording.reader import Progress, header_of
+from waferbot_twin.response import AxisResponse
+from waferbot_twin.response_reader import load_responses
+from waferbot_twin.thinning import thinned
 
 TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 COMMAND_COLOUR, MEASURED_COLOUR, ERROR_COLOUR = '#999999', '#1f5fa8', '#b5401f'
+MOST_DRAWN = 4000
+"""Samples of a line, an envelope if there are more: eight for each column of a panel."""
+
 _PREFIXES = ((1.0, ''), (1e3, 'm'), (1e6, 'µ'), (1e9, 'n'))
+_WITHOUT_PREFIX = ('A', '1', 'degC')
 
 
 def scaled_unit(values: np.ndarray, unit: str) -> tuple[float, str]:
     """Return a factor and a unit with SI prefix that bring the largest value above 1."""
     largest = float(np.max(np.abs(values))) if len(values) else 0.0
-    if unit == 'A' or largest == 0.0:
+    if unit in _WITHOUT_PREFIX or largest == 0.0:
         return 1.0, unit
     fitting = [(factor, prefix) for factor, prefix in _PREFIXES if largest * factor >= 1.0]
     factor, prefix = fitting[0] if fitting else _PREFIXES[-1]
     return factor, prefix + unit
 
 
-def plot_recording(recording: Recording, file: Path) -> None:
-    """Draw a recording into an image file (`.png`, `.svg`, `.pdf`)."""
-    responses = axis_responses(recording)
-    run = recording.run
+def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> None:
+    """
+    Draw a recording into an image file (`.png`, `.svg`, `.pdf`).
+
+    Of each signal the least and the greatest sample of every stretch are drawn, several for a column of
+    the picture: what ten minutes look like, without drawing ten million samples.
+    """
+    responses = load_responses(path, progress)
+    run = header_of(path).run
     figure, panels = plt.subplots(
         3, len(responses), figsize=(4.6 * len(responses), 8.0), sharex='col', squeeze=False
     )
@@ -45,8 +56,7 @@ def plot_recording(recording: Recording, file: Path) -> None:
         _draw_current(panels[2][column], response)
         panels[2][column].set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
-    figure.suptitle(f'{recording.path.name}: {title}', fontsize=11)
-    figure.tight_layout()
+    set_title(figure, f'{path.name}: {title}')
     save_drawing(figure, file)
 
 
@@ -54,12 +64,12 @@ def _draw_position(panel: Axes, response: AxisResponse) -> None:
     factor, unit = scaled_unit(
         np.concatenate([response.position, response.commanded]), response.unit
     )
-    panel.step(
-        response.servo_time, response.commanded * factor, where='post',
-        color=COMMAND_COLOUR, label='commanded',
+    _line(
+        panel, response.servo_time, response.commanded * factor, COMMAND_COLOUR, 'commanded',
+        held=True,
     )  # fmt: skip
-    panel.plot(
-        response.encoder_time, response.position * factor, color=MEASURED_COLOUR, label='encoder'
+    _line(
+        panel, response.encoder_time, response.position * factor, MEASURED_COLOUR, 'encoder', 1.5
     )
     panel.set_title(TITLES[response.axis])
     panel.set_ylabel(f'position [{unit}]')
@@ -74,22 +84,39 @@ def _draw_position(panel: Axes, response: AxisResponse) -> None:
 
 
 def _draw_error(panel: Axes, response: AxisResponse) -> None:
-    if len(response.servo_time) == 0:
+    if len(response.following_error) == 0:
         panel.text(0.5, 0.5, 'not reported', transform=panel.transAxes, ha='center')
     factor, unit = scaled_unit(response.following_error, response.unit)
-    panel.plot(response.servo_time, response.following_error * factor, color=ERROR_COLOUR)
+    _line(panel, response.following_time, response.following_error * factor, ERROR_COLOUR, '', 1.5)
     panel.set_ylabel(f'following error [{unit}]')
     panel.grid(alpha=0.3)
 
 
 def _draw_current(panel: Axes, response: AxisResponse) -> None:
-    panel.step(
-        response.command_time, response.current_command, where='post',
-        color=COMMAND_COLOUR, label='command',
-    )  # fmt: skip
-    panel.plot(
-        response.tick_time, response.current, color=MEASURED_COLOUR, lw=0.8, label='measured'
+    _line(
+        panel,
+        response.command_time,
+        response.current_command,
+        COMMAND_COLOUR,
+        'command',
+        held=True,
     )
+    _line(panel, response.tick_time, response.current, MEASURED_COLOUR, 'measured', 0.8)
     panel.set_ylabel('current [A]')
     panel.legend(loc='upper right', fontsize=8)
     panel.grid(alpha=0.3)
+
+
+def _line(
+    panel: Axes,
+    time_s: np.ndarray,
+    values: np.ndarray,
+    colour: str,
+    label: str,
+    width: float = 1.5,
+    held: bool = False,
+) -> None:
+    """Draw a signal; one that is `held` stands until its next sample."""
+    time_s, values = thinned(time_s, values, MOST_DRAWN)
+    style = 'steps-post' if held else 'default'
+    panel.plot(time_s, values, color=colour, label=label, lw=width, drawstyle=style)

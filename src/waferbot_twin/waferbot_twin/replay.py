@@ -30,7 +30,7 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import plant
-from waferbot_pmac import servo
+from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.engines.inprocess import Twin, open_terminals
 from waferbot_twin.metrics import rms
@@ -154,7 +154,14 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
         counts = np.ascontiguousarray(encoders['counts'][rows])
         commanded = np.ascontiguousarray(state['commanded_position'])
         currents = np.zeros((len(counts), 3))
-        replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, currents)
+        offsets = compensation.offsets(
+            model.compensation,
+            str(recording.run.get('experiment', '')),
+            commanded,
+            twin.servo_parameters,
+            timing.servo_hz,
+        )
+        replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, offsets, currents)
         put(CURRENT_COMMAND, state['tick'], currents)
     else:
         measured = recording[PHASE_CURRENTS]
@@ -224,10 +231,16 @@ def _replay_plant(
 
 
 @compiled
-def replay_servo(state, parameters, counts, commanded, current_out):
-    """Drive the servo by counts (n, 4) and commanded positions (n, 3); fill commands (n, 3)."""
+def replay_servo(state, parameters, counts, commanded, offsets, current_out):
+    """
+    Drive the servo by counts (n, 4) and commanded positions (n, 3); fill commands (n, 3).
+
+    `offsets` (n, 3), DAC units, are what compensation tables add.
+    """
     servo.prime(state, parameters, counts[0], commanded[0])
     for cycle in range(counts.shape[0]):
+        for axis in range(3):
+            state[0]['offset'][axis] = offsets[cycle, axis]
         servo.step(state, parameters, counts[cycle], commanded[cycle], current_out[cycle])
 
 

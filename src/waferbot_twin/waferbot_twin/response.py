@@ -1,27 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording seen by axis, in SI units: position, command, following error, current, force."""
+"""A run or a log seen by axis, in SI units: position, command, following error, current."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import (
-    AXES,
-    CURRENT_COMMAND,
-    ENCODERS_TOPIC,
-    PHASE_CURRENTS,
-    SERVO_STATE,
-)
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
-from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.commutation import driving_part, electrical_angle, three_lines
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.metrics import StepMetrics, rms, step_metrics
-from waferbot_twin.models import recorded_model
-from waferbot_twin.recording.reader import Recording
 
 UNITS = {'y_linear': 'm', 'x_rotate': 'rad', 'y_rotate': 'rad'}
 
@@ -34,6 +25,9 @@ class AxisResponse:
     `position` is what the position encoder counted, shifted by its one phase cycle of delay, so that
     it stands at the time at which the axis was there. `current` is the part of the measured line
     currents that makes force: their projection on the commutation's sine, positive drives forward.
+
+    Of an imported log everything is as it was measured, at the log's own times. Arrays of what it does
+    not have are empty. `error_time` are the times of `following_error`; those of `servo_time` if None.
     """
 
     axis: str
@@ -47,10 +41,17 @@ class AxisResponse:
     current_command: np.ndarray
     tick_time: np.ndarray
     current: np.ndarray
+    error_time: np.ndarray | None = None
+
+    @property
+    def following_time(self) -> np.ndarray:
+        """Times of `following_error`, s."""
+        return self.servo_time if self.error_time is None else self.error_time
 
     def moves(self) -> bool:
-        """Return whether a motion is commanded."""
-        return bool(np.any(np.diff(self.commanded)))
+        """Return whether a motion is commanded; where commands are not known, whether it moved."""
+        path = self.commanded if len(self.commanded) else self.position
+        return bool(np.any(np.diff(path)))
 
     def step(self) -> tuple[float, float] | None:
         """Return time and height of the first step commanded; None if it is not a single jump."""
@@ -62,20 +63,33 @@ class AxisResponse:
 
     def metrics(self, rise: str = 'first', level_shift: float = 0.0) -> StepMetrics | None:
         """
-        Return the figures of the first step, up to the next one; None if there is no step.
+        Return the figures of the first step, up to the next one; None if there is none, or no position.
 
         `rise` says which arrival at the command ends the rise; `level_shift` moves the levels: see
         `metrics.step_metrics`.
         """
-        step = self.step()
-        if step is None:
+        if self.step() is None:
             return None
-        start_s, height = step
-        later = np.flatnonzero(np.diff(self.commanded))[1:]
-        end_s = self.servo_time[later[0] + 1] if len(later) else np.inf
+        jumps = np.flatnonzero(np.diff(self.commanded))
+        end_s = self.servo_time[jumps[1] + 1] if len(jumps) > 1 else np.inf
+        return self.one_step(int(jumps[0]), float(end_s), rise, level_shift)
+
+    def one_step(
+        self, jump: int, end_s: float, rise: str = 'first', level_shift: float = 0.0
+    ) -> StepMetrics | None:
+        """Return the figures of the step behind cycle `jump`, up to `end_s`; None without positions."""
+        start_s = float(self.servo_time[jump + 1])
         part = (self.encoder_time >= start_s) & (self.encoder_time < end_s)
-        time, position = self.since_start()
-        return step_metrics(time[part], position[part], height, rise, level_shift)
+        if not part.any():
+            return None
+        height = float(self.commanded[jump + 1] - self.commanded[jump])
+        return step_metrics(
+            self.encoder_time[part] - start_s,
+            self.position[part] - self.commanded[jump],
+            height,
+            rise,
+            level_shift,
+        )
 
     def since_start(self) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -105,49 +119,41 @@ def rms_difference(one: AxisResponse, other: AxisResponse) -> float:
     return rms(position[common] - np.interp(time[common], other_time, other_position))
 
 
-def axis_responses(recording: Recording) -> list[AxisResponse]:
-    """Return the three axes of a recording; raises `UserError` if a contract topic is missing."""
-    timing = recording.timing
-    model = recorded_model(recording)
-    servo = servo_parameters(model.of_axes('pmac'), str(recording.path))[0]
-    amplifier = amplifier_parameters(model.of_axes('copley'), timing, str(recording.path))[0]
-    encoders, currents = recording[ENCODERS_TOPIC], recording[PHASE_CURRENTS]
-    servo_state, command = recording[SERVO_STATE], recording[CURRENT_COMMAND]
-    return _responses(
-        timing,
-        servo,
-        amplifier,
-        (encoders['tick'], encoders['counts']),
-        (currents['tick'], currents['current']),
-        (servo_state['tick'], servo_state['commanded_position'], servo_state['following_error']),
-        (command['tick'], command['current']),
-    )
-
-
 def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
     """Return the three axes of what an in-process twin has just run, without recording it."""
     commanded, following_error = np.split(signals.servo_state, 5, axis=1)[:2]
-    return _responses(
-        signals.timing,
+    timing = signals.timing
+    encoders = (np.array(signals.encoder_ticks), signals.counts)
+    ticks = np.arange(signals.first, signals.first + signals.ticks)
+    servo_ticks = np.array(signals.servo_ticks)
+    currents = [
+        driving_current(ticks, signals.line_current, axis, twin.amplifier_parameters[0], encoders)
+        for axis in range(len(AXES))
+    ]
+    return responses_of(
+        timing,
         twin.servo_parameters[0],
-        twin.amplifier_parameters[0],
-        (np.array(signals.encoder_ticks), signals.counts),
-        (np.arange(signals.first, signals.first + signals.ticks), signals.line_current),
-        (np.array(signals.servo_ticks), commanded, following_error),
-        (np.array(signals.servo_ticks), signals.current_command),
+        encoders,
+        (servo_ticks, commanded, following_error),
+        (servo_ticks, signals.current_command),
+        [(ticks / timing.current_loop_hz, current) for current in currents],
     )
 
 
-def _responses(
+def responses_of(
     timing: Timing,
     servo: np.void,
-    amplifier: np.void,
     encoders: tuple[np.ndarray, np.ndarray],
-    currents: tuple[np.ndarray, np.ndarray],
     servo_state: tuple[np.ndarray, np.ndarray, np.ndarray],
     current_command: tuple[np.ndarray, np.ndarray],
+    currents: Sequence[tuple[np.ndarray, np.ndarray]],
 ) -> list[AxisResponse]:
-    """Return the three axes from (ticks, values) of each topic and the settings that were used."""
+    """
+    Return the three axes.
+
+    `encoders`, `servo_state` and `current_command` are ticks and values of those topics, `currents` of
+    each axis times in s and the part that makes force, A; `servo` the settings that were used.
+    """
     encoder_tick, counts = encoders
     servo_tick, commanded, following_error = servo_state
     delay_s = timing.encoder_divider * timing.tick_s
@@ -166,15 +172,15 @@ def _responses(
                 following_error[:, place] / per_unit,
                 current_command[0] / timing.current_loop_hz,
                 current_command[1][:, place],
-                currents[0] / timing.current_loop_hz,
-                _driving_current(currents, place, amplifier, encoders),
+                *currents[place],
             )
         )
     return responses
 
 
-def _driving_current(
-    currents: tuple[np.ndarray, np.ndarray],
+def driving_current(
+    ticks: np.ndarray,
+    line_current: np.ndarray,
     axis: int,
     amplifier: np.void,
     encoders: tuple[np.ndarray, np.ndarray],
@@ -182,7 +188,8 @@ def _driving_current(
     """
     Return 2/3 sum_k i_k sin(theta - 2 pi (k - 1) / 3) in A, from the two measured lines of an axis.
 
-    theta is the electrical angle that the amplifier uses: newest counts, held between messages.
+    `line_current` (n, 6) at `ticks` (n,). theta is the electrical angle that the amplifier uses: newest
+    counts of `encoders` (ticks, counts), held between messages.
     """
-    theta = electrical_angle(currents[0], axis, amplifier, encoders)
-    return driving_part(three_lines(currents[1], axis), theta)
+    theta = electrical_angle(ticks, axis, amplifier, encoders)
+    return driving_part(three_lines(line_current, axis), theta)

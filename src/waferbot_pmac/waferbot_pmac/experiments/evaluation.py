@@ -189,7 +189,7 @@ class _Motion:
                 self.start_s,
                 self._required('amplitude'),
                 self.motion['hold_s'],
-                self.motion['seed'],
+                int(self.motion['seed']),  # 2.0 is a whole number in YAML, too
             )
         )
 
@@ -208,6 +208,7 @@ class _Motion:
     def _multisine(self, times: Floats) -> Floats:
         period_s = float(self.motion['period_s'])
         first, last = self._frequency('first_frequency_hz'), self._frequency('last_frequency_hz')
+        seed = self.motion.get('seed')
         if not trajectories.harmonics_between(period_s, first, last).size:
             raise UserError(
                 f'{self._where("period_s")}: no harmonic of {1.0 / period_s:g} Hz lies between '
@@ -222,7 +223,7 @@ class _Motion:
             last,
             float(self.motion.get('corner_frequency_hz', 0.0)),
             float(self.motion.get('fade_s', 0.0)),
-            self.motion.get('seed'),
+            None if seed is None else int(seed),
         )
 
     def _linear_path(self, start: float, end: float) -> LinearPath:

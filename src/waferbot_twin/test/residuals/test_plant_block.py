@@ -145,3 +145,15 @@ def test_steps_as_long_as_the_encoders_cycle_show_what_a_cause_changes(name):
         for one in (block, quick)
     )
     assert np.sqrt(np.mean((near - exact) ** 2)) < 0.05 * np.sqrt(np.mean(exact**2))
+
+
+@pytest.mark.parametrize('duration_s', [0.1, 0.2, 0.5])
+def test_the_autoregression_reaches_back_a_hundredth_of_a_second_if_the_log_is_long(duration_s):
+    """24 samples of the servo are what shakes at 94 Hz once round; twenty samples tell a coefficient."""
+    nominal = Variant.of(load_model('rigid'))
+    record = record_of(nominal, 'step', duration_s)
+    block = PlantBlock(record, nominal)
+    shortest = min(map(len, block.residuals(nominal)))
+    assert block.order == min(24, shortest // 20)
+    assert (block.order == 24) == (duration_s == 0.5)
+    assert all(noise.order == block.order for noise in block.noises)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -113,3 +115,27 @@ def test_what_the_validation_data_refute_is_withdrawn_and_what_they_do_not_show_
     kept, refuted = without_refuted(Problem(nominal, validation), causes, LEVEL)
     assert [cause.name for cause in refuted] == [PULLED.name]
     assert {cause.name for cause in kept} == {cause.name for cause in hidden}
+
+
+@pytest.mark.parametrize('level', [1e-3, 0.05])
+def test_what_is_less_likely_than_the_level_is_refuted_the_worst_first(monkeypatch, level):
+    """Likelihood ratios a little above and below the level; each withdrawal asks the others anew."""
+    named = {name: Cause(FRICTION.effect, name, FRICTION.values) for name in AXES}
+    ratios = dict(zip(AXES, (1.1 * level, 0.9 * level, 0.5 * level), strict=True))
+
+    def ratio(problem, causes, place):
+        # Without the worst, the second is as likely as the first.
+        alone = len(causes) < len(AXES)
+        axis = causes[place].axis
+        return math.log(1.1 * level if alone and axis == AXES[1] else ratios[axis])
+
+    monkeypatch.setattr('waferbot_twin.validation.holdout._gain_of', ratio)
+    kept, refuted = without_refuted(None, tuple(named.values()), level)
+    assert [cause.axis for cause in kept] == list(AXES[:2])
+    assert [cause.axis for cause in refuted] == [AXES[2]]
+    ratios[AXES[1]] = ratios[AXES[2]] = 1.01 * level
+    assert without_refuted(None, tuple(named.values()), level)[1] == ()
+    ratios[AXES[0]] = 0.99 * level
+    assert [one.axis for one in without_refuted(None, tuple(named.values()), level)[1]] == [
+        AXES[0]
+    ]

@@ -66,8 +66,27 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
 
     On a terminal it draws a bar. Elsewhere, as in the log of a script, it writes one line.
     """
+    with progress_of_stages(what) as show:
+        yield lambda done, total: show('', done, total)
+
+
+@contextlib.contextmanager
+def progress_of_stages(what: str) -> Iterator[Callable[[str, int, int], None]]:
+    """
+    Give a function (stage, done, total), as `progress_bar` does, for what has several stages.
+
+    Elsewhere than on a terminal it writes a line for each stage that takes a while, however often it
+    comes.
+    """
     if not error_console.is_terminal:
-        yield _progress_line(what)
+        lines: dict[str, Callable[[int, int], None]] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in lines:
+                lines[stage] = _progress_line(_named(what, stage))
+            lines[stage](done, total)
+
+        yield tell
         return
     begun_s = time.monotonic()
     bar = Progress(
@@ -78,16 +97,19 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
         console=error_console,
         transient=True,
     )
-    task = bar.add_task(what, total=None)
+    task, shown = bar.add_task(what, total=None), ''
     started = False
 
-    def show(done: int, total: int) -> None:
-        nonlocal started
+    def show(stage: str, done: int, total: int) -> None:
+        nonlocal started, shown
         if not started:
             if time.monotonic() - begun_s < QUIET_S:
                 return
             started = True
             bar.start()
+        if stage != shown:
+            shown = stage
+            bar.reset(task, description=_named(what, stage))
         bar.update(task, completed=done, total=total)
 
     try:
@@ -95,6 +117,10 @@ def progress_bar(what: str) -> Iterator[Callable[[int, int], None]]:
     finally:
         if started:
             bar.stop()
+
+
+def _named(what: str, stage: str) -> str:
+    return f'{what}, {stage}' if stage else what
 
 
 def _progress_line(what: str) -> Callable[[int, int], None]:

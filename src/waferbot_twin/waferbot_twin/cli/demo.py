@@ -23,13 +23,13 @@ from rich.table import Table
 
 from waferbot_lockstep.package_data import package_data
 from waferbot_twin.cli import run
-from waferbot_twin.cli.console import print_json, progress_bar, result_console, say
+from waferbot_twin.cli.console import print_json, progress_of_stages, result_console, say
 from waferbot_twin.cli.keeping import Kept, keep
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
-from waferbot_twin.response import axis_responses
+from waferbot_twin.response_reader import load_responses
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis
@@ -90,10 +90,10 @@ def _at_work(folder: Path) -> dict[str, Any]:
         for node in NODES
     }
     picture = folder / 'step.png'
-    plot_recording(recording, picture)
+    plot_recording(folder / 'ros', picture)
     metrics = {
         response.axis: asdict(figures)
-        for response in axis_responses(recording)
+        for response in load_responses(folder / 'ros')
         if (figures := response.metrics()) is not None
     }
     return {
@@ -117,8 +117,8 @@ def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:
 
     say('Logs of the machine as built, against the rigid model: what does it get wrong?')
     output = OutputFolder(folder, force=True)
-    with progress_bar('diagnosis') as bar:
-        found = diagnosis_of_logs(lambda what, done, total: bar(done, total))
+    with progress_of_stages('diagnosis') as progress:
+        found = diagnosis_of_logs(progress)
     kept = keep(output, lambda place: write(found, place))
     return found, kept
 

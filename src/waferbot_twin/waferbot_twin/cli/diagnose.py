@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import print_json, progress_bar
+from waferbot_twin.cli.console import print_json, progress_of_stages
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
 
@@ -92,14 +92,14 @@ def execute(options: argparse.Namespace) -> int:
     model = waferbot.load_model(options.model)
     logs, validation = waferbot.load_logs(options.measured), waferbot.load_logs(options.validate)
     output = OutputFolder(options.out, options.force)
-    with cluster(options.cluster) as cores, progress_bar('diagnosis') as bar:
+    with cluster(options.cluster) as cores, progress_of_stages('diagnosis') as progress:
         result = waferbot.diagnose(
             model,
             logs,
             validation,
             without=options.without,
             workers=cores or options.workers,
-            progress=lambda what, done, total: bar(done, total),
+            progress=progress,
         )
     kept = keep(output, lambda folder: write(result.details, folder))
     if options.json:

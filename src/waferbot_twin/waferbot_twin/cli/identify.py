@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
 
 if TYPE_CHECKING:
+    from waferbot_twin.effects.variant import Variant
     from waferbot_twin.identification.least_squares import Options
 
 SIMULATION, LEAST_SQUARES = 'simulation', 'least-squares'
@@ -48,6 +49,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--parameter', action='append', default=[], metavar='PATH[=low:high]',
         help='a parameter to identify (may be given several times)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--library', type=Path, metavar='FILE',
+        help='ranges of parameters without one, as waferbot library keeps them',
     )  # fmt: skip
     parser.add_argument(
         '--validate', nargs='+', type=Path, default=[], metavar='OTHER',
@@ -110,7 +115,7 @@ def _simulation(options: argparse.Namespace) -> int:
     from waferbot_twin.residuals.load import load_records
 
     nominal = Variant.of(load_model_or_machine(options.model or 'rigid'))
-    parameters = parse_all(options.parameter, nominal)
+    parameters = parse_all(_with_priors(options, nominal), nominal)
     records = load_records([*options.measured, *options.validate], nominal)
     records, judging = records[: len(options.measured)], records[len(options.measured) :]
     output = None if options.out is None else OutputFolder(options.out, options.force)
@@ -132,6 +137,26 @@ def _simulation(options: argparse.Namespace) -> int:
             f'{item.unit}, {item.improvement_percent:.1f} %'
         )
     return kept.tell('report: {}/report.html')
+
+
+def _with_priors(options: argparse.Namespace, nominal: Variant) -> list[str]:
+    """Return the parameters as they are named, with the library's range where none was given."""
+    if options.library is None:
+        return list(options.parameter)
+    from waferbot_twin.identification.named_parameters import at_path
+    from waferbot_twin.library.entries import load
+    from waferbot_twin.library.ranges import prior
+
+    entries = load(options.library)
+    texts = []
+    for text in options.parameter:
+        known = None if '=' in text else prior(entries, at_path(text.strip(), nominal))
+        if known is None:
+            texts.append(text)
+            continue
+        say(f'{text}: {known[0]:.5g} to {known[1]:.5g}, by {options.library}')
+        texts.append(f'{text}={known[0]!r}:{known[1]!r}')
+    return texts
 
 
 def _least_squares(options: argparse.Namespace) -> int:

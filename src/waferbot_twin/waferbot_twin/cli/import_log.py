@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Read, write and tell."""
     from waferbot_twin.logs.archive import write_archive
+    from waferbot_twin.logs.hold import evidence
     from waferbot_twin.logs.load import load_log
 
     out, source = options.out.resolve(), options.log.resolve()
@@ -62,10 +63,15 @@ def execute(options: argparse.Namespace) -> int:
         options.log, options.mapping, options.model, options.machine, options.part, options.name
     )
     write_archive(log, options.out, options.force)
+    spoken = evidence(log)
     if options.json:
-        print_json({'path': str(options.out), **log.describe()})
+        holds = [one.as_dict() for one in spoken]
+        print_json({'path': str(options.out), **log.describe(), 'between_samples': holds})
         return 0
     show(log)
+    for one in spoken:
+        more = f' (say hold: {one.speaks_for} in the mapping, if that is so)' * one.against
+        result_console.print(f'  {one}{more}', soft_wrap=True)
     print(options.out)
     return 0
 

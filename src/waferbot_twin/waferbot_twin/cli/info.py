@@ -7,14 +7,47 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
-from waferbot_lockstep.contract import CONTRACT_TOPICS
-from waferbot_twin.cli.console import print_json, result_console
+from waferbot_lockstep.contract import Topic
+from waferbot_twin.checked_json import NUMBER, TEXT, WHOLE, checked_json
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.cli.import_log import show
 from waferbot_twin.logs import archive
+from waferbot_twin.plain_values import significant
 from waferbot_twin.recording.completeness import Account, reported
-from waferbot_twin.recording.reader import Recording, read_recording
+from waferbot_twin.recording.reader import Progress, header_of, stream_recording
+
+OVERLAY = 'overlay.json'
+"""What is attached to an overlay."""
+
+_OVERLAY = {
+    'type': 'object',
+    'required': ['signals'],
+    'properties': {
+        'signals': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': [
+                    'topic',
+                    'unit',
+                    'samples',
+                    'rms_measured',
+                    'rms_simulated',
+                    'rms_residual',
+                ],
+                'properties': {
+                    'topic': TEXT,
+                    'unit': TEXT,
+                    'samples': WHOLE,
+                    **dict.fromkeys(('rms_measured', 'rms_simulated', 'rms_residual'), NUMBER),
+                },
+            },
+        }
+    },
+}
 
 EXAMPLES = ('waferbot info runs/step',)
 """What `--help` shows; tests run them."""
@@ -30,15 +63,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Read the recording and describe it."""
-    recording = read_recording(options.recording)
-    if archive.ATTACHMENT in recording.attachments:
+    attached = header_of(options.recording).attachments
+    if archive.ATTACHMENT in attached:
         return _tell_measured(options)
-    result = describe(recording)
+    if OVERLAY in attached:
+        return _tell_overlay(options, attached[OVERLAY])
+    with progress_bar(f'reading {options.recording.name}') as progress:
+        result = describe(options.recording, progress)
     if options.json:
         print_json(result)
         return 0
     run = result['run']
-    print(f'{recording.path}')
+    print(f'{options.recording}')
     print(
         f'  experiment {run.get("experiment", "?")} on model {run.get("model", "?")}, '
         f'engine {run.get("engine", "?")}, seed {run.get("seed", "?")}'
@@ -54,8 +90,8 @@ def execute(options: argparse.Namespace) -> int:
         rate = f'{topic["rate_hz"]:.0f}' if topic['rate_hz'] else ''
         table.add_row(topic['name'], topic['type'], str(topic['messages']), rate)
     result_console.print(table)
-    if recording.attachments:
-        print('  attached: ' + ', '.join(sorted(recording.attachments)))
+    if result['attachments']:
+        print('  attached: ' + ', '.join(result['attachments']))
     for name, version in sorted(run.get('versions', {}).items()):
         print(f'  {name} {version}')
     return 0
@@ -74,12 +110,47 @@ def _tell_measured(options: argparse.Namespace) -> int:
     return 0
 
 
-def describe(recording: Recording) -> dict[str, Any]:
-    """Return what a recording holds as plain values."""
-    timing = recording.timing
-    ticks = recording.ticks
+def _tell_overlay(options: argparse.Namespace, text: str) -> int:
+    """Describe what `compare` or `replay` laid over one another."""
+    about = checked_json(text, _OVERLAY, f'{options.recording}: {OVERLAY}')
+    if options.json:
+        print_json({'path': str(options.recording), **about})
+        return 0
+    print(f'{options.recording}: overlay, topics under /measured, /simulated, /residual')
+    table = new_table('signal', 'unit', 'samples', 'RMS measured', 'RMS simulated', 'RMS residual')
+    table.columns[1].justify = 'left'
+    for row in about['signals']:
+        numbers = (row[f'rms_{side}'] for side in ('measured', 'simulated', 'residual'))
+        table.add_row(
+            row['topic'], row['unit'], str(row['samples']), *(significant(one) for one in numbers)
+        )
+    result_console.print(table)
+    return 0
+
+
+def describe(path: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """
+    Return what a recording holds as plain values; it is read piece by piece.
+
+    `missing` says how many places of messages lack between tick 0 and the end that the recorder tells
+    (a run may be broken off within a tick), or the last recorded tick. Raises `UserError`.
+    """
+    header = header_of(path)
+    timing = header.timing
+    account = Account(timing, reported(header.run.get('without', ())))
+    last_tick = -1
+
+    def take(topic: Topic, records: np.ndarray) -> None:
+        nonlocal last_tick
+        account.topics[topic].note_all(records['tick'], records['valid'])
+        last_tick = max(last_tick, int(records['tick'].max()))
+
+    recording = stream_recording(path, take, progress)
+    ticks = last_tick + 1
     sim_s = timing.seconds(ticks)
-    missing = count_missing(recording)
+    told = recording.summary.get('ticks', '')
+    end = int(told) if told.isdecimal() and len(told) < 16 else ticks
+    missing = sum(account.missing(end).values())
     if not recording.closed:
         state = f'cut off: the recorder did not end; readable up to tick {ticks - 1}'
     else:
@@ -108,15 +179,3 @@ def describe(recording: Recording) -> dict[str, Any]:
             for name, count in sorted(recording.counts.items())
         ],
     }
-
-
-def count_missing(recording: Recording) -> int:
-    """Return how many places of messages lack between tick 0 and the last recorded tick."""
-    account = Account(recording.timing, reported(recording.run.get('without', ())))
-    for topic in CONTRACT_TOPICS:
-        array = recording.topics.get(topic.name)
-        if array is None:
-            continue
-        for tick, valid in zip(array['tick'].tolist(), array['valid'].tolist(), strict=True):
-            account.topics[topic].is_new(tick, valid)
-    return sum(account.missing(recording.ticks).values())

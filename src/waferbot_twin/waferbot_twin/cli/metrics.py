@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Figures of a recording: step response and following error of each axis.
+Figures of a recording or an imported log: step response and following error of each axis.
 
 Delay, rise, peak, overshoot, peak time and settling (5 %) are those of chapter 4 of the thesis and
 count from the step. With --rise main-peak the rise ends at the arrival that leads to the highest
@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_twin.cli.console import new_table, print_json, result_console
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.metrics import FIGURES, RISE_RULES, rms
 from waferbot_twin.plain_values import significant
-from waferbot_twin.recording.reader import read_recording
-from waferbot_twin.response import AxisResponse, axis_responses
+from waferbot_twin.response import AxisResponse
+from waferbot_twin.response_reader import load_responses
 
 EXAMPLES = (
     'waferbot metrics runs/step',
@@ -40,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Read the recording and print its figures."""
-    responses = axis_responses(read_recording(options.recording))
+    with progress_bar(f'reading {options.recording.name}') as progress:
+        responses = load_responses(options.recording, progress)
     result = {response.axis: figures(response, options.rise) for response in responses}
     if options.json:
         print_json(result)
@@ -65,7 +66,9 @@ def figures(response: AxisResponse, rise: str) -> dict[str, Any]:
     return {
         'unit': response.unit,
         **(asdict(metrics) if metrics else {}),
-        'rms_following_error': rms(response.following_error) if len(response.servo_time) else None,
+        'rms_following_error': rms(response.following_error)
+        if len(response.following_error)
+        else None,
         'peak_following_error': _peak(response.following_error),
         'peak_current': _peak(response.current),
     }

@@ -7,9 +7,10 @@ import argparse
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.cli.console import print_json, progress_bar
 from waferbot_twin.logs.archive import ATTACHMENT
 from waferbot_twin.output_folder import note_file
-from waferbot_twin.recording.reader import read_recording
+from waferbot_twin.recording.reader import header_of
 
 FORMATS = ('.png', '.svg', '.pdf')
 
@@ -26,19 +27,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--out', type=Path, metavar='FILE', help='picture to write (default: DIR/plot.png)'
     )
     parser.add_argument('--force', action='store_true', help='replace the picture of --out')
+    parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Read the recording and draw it."""
     path: Path = options.recording
-    recording = read_recording(path)
+    attached = header_of(path).attachments
     folder = path if path.is_dir() else path.parent
     out = options.out or folder / 'plot.png'
     if out.suffix not in FORMATS:
         raise UserError(f'--out is {out}; give a file that ends in {", ".join(FORMATS)}')
     if out.exists() and not options.force:
         raise UserError(f'--out {out} exists already; choose another file or give --force')
-    if ATTACHMENT in recording.attachments:
+    if ATTACHMENT in attached:
         from waferbot_twin.logs.load import load_log
         from waferbot_twin.logs.picture import plot_log
 
@@ -46,7 +48,11 @@ def execute(options: argparse.Namespace) -> int:
     else:
         from waferbot_twin.plot import plot_recording
 
-        plot_recording(recording, out)
+        with progress_bar(f'reading {path.name}') as progress:
+            plot_recording(path, out, progress)
     note_file(out)
-    print(out)
+    if options.json:
+        print_json({'picture': str(out)})
+    else:
+        print(out)
     return 0

@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Replay one node against the recorded signals of the others, and compare its output.
+Replay blocks of a model alone against recorded or measured signals, and compare their output.
 
-The output of a replay of the same model is identical to the recorded one: every difference is 0, and
-so is the exit code. It is 1 if the output differs anywhere.
+  waferbot replay RUN --node N                  a recording of the twin, one node, tick by tick
+  waferbot replay LOG --model M [--node N]      a measured log, every block that it has signals for
+
+Of a recording of the same model the output is identical: every difference is 0, and so is the exit
+code. It is 1 if the output differs anywhere.
+
+Of a measured log nothing is bit-exact: the exit code is 0, and what is told is the RMS of measured,
+simulated and residual. The plant is driven by the measured currents or forces and held to the measured
+positions by an observer, so its residual is the error of predicting the next reading. --out DIR gets an
+overlay: one MCAP with /measured, /simulated and /residual, and overlay.png.
 """
 
 from __future__ import annotations
@@ -15,15 +23,25 @@ from rich.table import Table
 
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.cli.console import print_json, progress_bar, result_console
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 from waferbot_twin.engines.with_ros import engine_with_ros
-from waferbot_twin.models import NODES, Model, load_model, recorded_model
+from waferbot_twin.logs.archive import ATTACHMENT
+from waferbot_twin.models import (
+    NODES,
+    Model,
+    load_model,
+    load_model_or_machine,
+    recorded_model,
+)
+from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.plain_values import significant
 from waferbot_twin.plan import Plan
-from waferbot_twin.recording.reader import Recording, read_recording
+from waferbot_twin.recording.reader import Recording, header_of, read_recording
 
 EXAMPLES = (
     'waferbot replay runs/step --node pmac',
     'waferbot replay runs/step --node plant --model rigid --json',
+    'waferbot replay logs/measured --model as_built --out overlays/replayed',
 )
 """What `--help` shows; tests run them."""
 
@@ -31,20 +49,89 @@ EXAMPLES = (
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot replay`."""
     parser.add_argument(
-        'recording', type=Path, metavar='DIR', help='recording folder or .mcap file'
+        'recording', type=Path, metavar='DIR', help='recording, or measured log that was imported'
     )
-    parser.add_argument('--node', choices=NODES, required=True, help='the node to replay')
     parser.add_argument(
-        '--model', metavar='NAME|FILE', help='default: the model that the recording was made with'
-    )
+        '--node', choices=NODES,
+        help='the node to replay; of a measured log all by default (pmac: also another controller)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--model', metavar='NAME|FILE',
+        help='default: the model that the recording was made with; of a measured log also the '
+        'description of a machine alone',
+    )  # fmt: skip
     parser.add_argument(
         '--engine', choices=('inprocess', 'ros'), default='inprocess', help='default: inprocess'
     )
+    parser.add_argument('--out', type=Path, metavar='DIR', help='of a measured log: an overlay')
+    parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Replay, and tell how far the output is from the recorded one."""
+    header = header_of(options.recording)
+    if is_measured(header):
+        return _replay_measured(options, header)
+    if options.node is None:
+        raise UserError(f'{options.recording} is a recording of a run: give --node, one of '
+                        f'{", ".join(NODES)}')  # fmt: skip
+    if options.out is not None:
+        raise UserError('--out belongs to the replay of a measured log')
+    return _replay_run(options)
+
+
+def is_measured(header: Recording) -> bool:
+    """Tell whether a recording is a measured log: imported, or of no run of the twin."""
+    engine = header.run.get('engine')
+    return ATTACHMENT in header.attachments or engine in (None, 'machine')
+
+
+def _replay_measured(options: argparse.Namespace, header: Recording) -> int:
+    """Replay every block on a measured log."""
+    from waferbot_twin.comparison.blocks import replay_blocks
+    from waferbot_twin.comparison.overlay import write_overlay
+    from waferbot_twin.effects.variant import Variant
+
+    if options.engine != 'inprocess':
+        raise UserError(f'{options.recording} is a measured log; replay it inprocess')
+    if options.model is None and 'model.yaml' not in header.attachments:
+        raise UserError(f'{options.recording} is a measured log: say with --model what to replay')
+    model = load_model_or_machine(options.model) if options.model else recorded_model(header)
+    if options.out is not None:
+        OutputFolder(options.out, options.force)  # nobody waits for what cannot be written
+    replayed = replay_blocks(options.recording, Variant.of(model), options.node)
+    about = {'log': str(options.recording), 'model': model.name, 'notes': list(replayed.notes)}
+    rows = [trace.as_dict() for trace in replayed.traces]
+    if options.json:
+        print_json({**about, 'signals': rows})
+    else:
+        table = new_table(
+            'signal', 'block', 'unit', 'samples', 'RMS measured', 'RMS simulated', 'RMS residual',
+            'largest',
+        )  # fmt: skip
+        for column in table.columns[1:3]:
+            column.justify = 'left'
+        for trace, row in zip(replayed.traces, rows, strict=True):
+            numbers = (
+                row[key]
+                for key in ('rms_measured', 'rms_simulated', 'rms_residual', 'largest_residual')
+            )
+            table.add_row(
+                trace.name, trace.block, trace.unit, str(row['samples']),
+                *(significant(number) for number in numbers),
+            )  # fmt: skip
+        result_console.print(table)
+        for note in replayed.notes:
+            result_console.print(f'note: {note}', soft_wrap=True)
+    if options.out is not None:
+        write_overlay(replayed.traces, about, options.out, options.force)
+        say(f'overlay: {options.out}')
+    return 0
+
+
+def _replay_run(options: argparse.Namespace) -> int:
+    """Replay one node of a run tick by tick."""
     recording = read_recording(options.recording)
     model = load_model(options.model) if options.model else recorded_model(recording)
     if options.engine == 'inprocess':

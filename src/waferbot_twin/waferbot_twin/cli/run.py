@@ -4,10 +4,16 @@ Run an experiment on the twin and record it.
 
 Engines:
   ros        plant, pmac and copley as separate processes over ROS 2 (default)
-  composed   the same nodes over ROS 2 in one process: faster, nothing to swap
+  composed   the same nodes in one process: faster, nothing to swap
   inprocess  the same model functions compiled into one loop, without ROS: fastest
 
-All three give bit-identical signals.
+With --engine ros, --compose takes some nodes into one process. Delivery, how messages reach the nodes:
+  topics     by their ROS topics
+  direct     from node to node inside a process, by topics between processes (default)
+  channel    from node to node inside a process, by Unix sockets between processes: faster
+Every message is published on its ROS topic in any case.
+
+All of them give bit-identical signals.
 """
 
 from __future__ import annotations
@@ -18,11 +24,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from waferbot_copley.node_settings import POLICIES
 from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.cli.seeds import add_seed
+from waferbot_twin.engines.layout import DELIVERIES, DIRECT
 from waferbot_twin.engines.with_ros import engine_with_ros
 from waferbot_twin.plan import Outcome, Plan, make_plan
 
@@ -30,6 +38,7 @@ ENGINES = ('ros', 'composed', 'inprocess')
 
 EXAMPLES = (
     'waferbot run --experiment step --out runs/step',
+    'waferbot run --compose plant,copley --delivery channel --out runs/composed',
     'waferbot run --experiment step_x_rotate --model as_built --engine inprocess --out runs/measured',
 )
 """What `--help` shows; tests run them."""
@@ -46,6 +55,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='I-variables to lay over the model: a plain listing (I130=2000 ...) or YAML',
     )
     parser.add_argument('--engine', choices=ENGINES, default='ros', help='default: ros')
+    parser.add_argument(
+        '--compose', type=_names, default=(), metavar='NODE,NODE',
+        help='nodes that share the process of this command (engine ros)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--delivery', choices=DELIVERIES, default=DIRECT, help='see above; default: direct'
+    )
     parser.add_argument('--out', type=Path, metavar='DIR', help='record to this new folder')
     parser.add_argument('--force', action='store_true', help='replace the recording at --out')
     parser.add_argument('--duration', type=float, metavar='S', help="default: the experiment's")
@@ -58,8 +74,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='do not start this node (plant, pmac, copley, copley_<axis>): yours takes its place',
     )  # fmt: skip
     parser.add_argument(
+        '--device-clock', choices=POLICIES,
+        help='the controller is the clock: each current command lets one servo cycle pass, whenever it '
+        'comes. If none comes: time stands (hold), current goes to zero (ramp), an error (fault)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--device-timeout', type=float, default=1.0, metavar='S',
+        help='wall time to wait for such a command (default 1)',
+    )  # fmt: skip
+    parser.add_argument(
         '--startup-timeout', type=float, default=60.0, metavar='S',
         help='wall time to wait for all nodes, yours as well (default 60)',
+    )  # fmt: skip
+    parser.add_argument(
+        '--plant', type=Path, metavar='FMU',
+        help='an FMU in the place of the plant; in process, without ROS',
+    )  # fmt: skip
+    parser.add_argument(
+        '--plant-map', type=Path, metavar='FILE',
+        help='YAML: what the FMU calls the inputs and outputs (docs/fmi.md)',
     )  # fmt: skip
     parser.add_argument('--domain', type=int, help='ROS domain (default: a free one)')
     parser.add_argument(
@@ -76,6 +109,13 @@ def execute(options: argparse.Namespace) -> int:
         raise UserError(
             f'--startup-timeout is {options.startup_timeout:g} s; it must be above 0 and at most 3600'
         )
+    if not 0.05 <= options.device_timeout <= 3600.0:
+        raise UserError(
+            f'--device-timeout is {options.device_timeout:g} s; it must be from 0.05 to 3600'
+        )
+    if options.plant is None and options.plant_map is not None:
+        raise UserError('--plant-map belongs to --plant')
+    _refuse_options_of_other_engines(options)
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
     if options.pmac_settings is not None:
         plan = with_pmac_settings(plan, options.pmac_settings)
@@ -94,6 +134,31 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
+def _refuse_options_of_other_engines(options: argparse.Namespace) -> None:
+    """Refuse what would have no effect: options of ROS without ROS, `--compose` of what is composed."""
+    if options.engine == 'composed' and options.compose and options.plant is None:
+        raise UserError('--compose is for --engine ros; composed has one process in any case')
+    if options.engine != 'inprocess' and options.plant is None:
+        return
+    of_ros = {
+        '--compose': options.compose,
+        '--delivery': options.delivery != DIRECT,
+        '--copley-per-axis': options.copley_per_axis,
+        '--without': options.without,
+        '--device-clock': options.device_clock,
+        '--domain': options.domain is not None,
+        '--any-host': options.any_host,
+    }
+    for name, given in of_ros.items():
+        if given:
+            which = '--plant' if options.plant is not None else '--engine inprocess'
+            raise UserError(f'{name} is for nodes over ROS; with {which} there are none')
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(',') if name.strip())
+
+
 def with_pmac_settings(plan: Plan, file: Path) -> Plan:
     """Return the plan with I-variables from a file; tell what in a listing was not taken over."""
     listing = load_settings(file)
@@ -110,7 +175,9 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         say('compiling the model: once for these sources, half a minute, then kept on disk')
     begun_s = time.perf_counter()
     with progress_bar(f'{plan.experiment.name} on {plan.model.name}') as progress:
-        if options.engine == 'inprocess':
+        if options.plant is not None:
+            outcome = _run_with_fmu(plan, options, progress)
+        elif options.engine == 'inprocess':
             from waferbot_twin.engines import inprocess
 
             outcome = inprocess.run(plan, options.out, options.force, progress)
@@ -119,7 +186,7 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     wall_s = time.perf_counter() - begun_s
     sim_s = plan.timing.seconds(plan.ticks)
     return {
-        'engine': options.engine,
+        'engine': options.engine if options.plant is None else f'inprocess, plant {options.plant}',
         'experiment': plan.experiment.name,
         'model': plan.model.name,
         'seed': plan.seed,
@@ -133,10 +200,37 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
+def _run_with_fmu(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
+    """Run a plan with an FMU in the place of its plant."""
+    from waferbot_lockstep.marked_yaml import read
+    from waferbot_twin.engines import inprocess
+    from waferbot_twin.fmi.foreign_plant import advance, foreign_plant
+
+    mapping = {} if options.plant_map is None else read(options.plant_map).data
+    if not isinstance(mapping, dict) or not all(
+        isinstance(name, str) for pair in mapping.items() for name in pair
+    ):
+        raise UserError(
+            f'--plant-map {options.plant_map}: it must map our names to those of the FMU'
+        )
+    with foreign_plant(options.plant, mapping, plan.timing) as foreign:
+        return inprocess.run(
+            plan,
+            options.out,
+            options.force,
+            progress,
+            lambda twin: lambda ticks: advance(twin, foreign, ticks),
+        )
+
+
 def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
     ros = engine_with_ros('ros')
     ros_options = ros.RosOptions(
         composed=options.engine == 'composed',
+        compose=options.compose,
+        delivery=options.delivery,
+        device_clock=options.device_clock or '',
+        device_timeout_s=options.device_timeout,
         one_copley_per_axis=options.copley_per_axis,
         without=tuple(options.without),
         startup_timeout_s=options.startup_timeout,

@@ -29,6 +29,7 @@ from waferbot_plant.assembly import Assembly, assemble
 from waferbot_plant.description import Description
 from waferbot_plant.description_file import check, whole_text
 from waferbot_plant.plant import Machine, description_source
+from waferbot_pmac.compensation import Table, load_tables
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.models import Model
 
@@ -109,6 +110,11 @@ class Variant:
     def rigid(self) -> Assembly:
         """The machine with every connection rigid: what moves with what, and how much of it."""
         return assemble(with_rigid(self.description, self.description.connections))
+
+    @cached_property
+    def compensation(self) -> tuple[Table, ...]:
+        """The tables by which the PMAC adds currents."""
+        return load_tables(str(self.node_settings.get('pmac', {}).get('compensation') or ''))
 
     @cached_property
     def _servo(self) -> np.void:

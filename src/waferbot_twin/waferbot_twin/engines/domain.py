@@ -55,6 +55,19 @@ class Domain:
         self._claim.close()
 
 
+def check_loopback() -> None:
+    """Raise `UserError` if processes of this computer cannot send to one another by network."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        try:
+            one.bind(('127.0.0.1', 0))
+            one.sendto(b'', one.getsockname())
+        except OSError as error:
+            raise UserError(
+                'nodes over ROS find one another through the loopback interface, 127.0.0.1, which does '
+                f'not work ({error.strerror}): ip link set lo up, or take --engine inprocess'
+            ) from None
+
+
 def _claim(number: int) -> socket.socket | None:
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -49,14 +49,14 @@ from waferbot_lockstep.wire import WireFormat
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.urdf import urdf
-from waferbot_pmac import servo
+from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.failures import Failures
 from waferbot_twin.models import Model
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
-from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.recording.writer import RecordingWriter, Table
 
 CHUNK_TICKS = 9000
 """Ticks between two looks at the clock and at Ctrl-C (0.5 s of sim time)."""
@@ -191,6 +191,7 @@ class Twin:
         self.amplifier_parameters = amplifier_parameters(copley, timing, source)
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
         self.commanded = np.zeros((1, len(AXES)))
+        self.offsets = np.zeros((1, len(AXES)))
         self.tick = 0
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)
@@ -208,8 +209,36 @@ class Twin:
         twin = cls(
             machine, model.of_axes('pmac'), model.of_axes('copley'), timing, str(model.path)
         )
-        twin.commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        twin.command(commanded, model.compensation, experiment.name)
         return twin
+
+    def command(
+        self,
+        commanded: np.ndarray,
+        tables: Sequence[compensation.Table] = (),
+        experiment: str = '',
+    ) -> None:
+        """
+        Command positions (cycles, 3), counts from where the axes are; with compensation tables.
+
+        Tables over time are those of `experiment`.
+        """
+        self.commanded = commanded
+        self.offsets = compensation.offsets(
+            tables,
+            experiment,
+            self._first_positions() + commanded,
+            self.servo_parameters,
+            self.timing.servo_hz,
+        )
+
+    def _first_positions(self) -> np.ndarray:
+        """Return the counts (3,) of the position encoders at tick 0, from which motions begin."""
+        counts = np.zeros(4, np.int64)
+        state, line_current = self.plant_state.copy(), np.zeros(2 * len(AXES))
+        plant.measure(state, self.plant_parameters, 0, counts, line_current)
+        return counts[self.servo_parameters['Ixx03'][0]].astype(np.float64)
 
     def advance(self, ticks: int) -> Signals:
         """
@@ -230,6 +259,7 @@ class Twin:
             self.amplifier_state,
             self.amplifier_parameters,
             self.commanded,
+            self.offsets,
             self._start,
             self._counts,
             self._current,
@@ -255,10 +285,21 @@ class Twin:
         return signals
 
 
-def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcome:
+Advance = Callable[[int], Signals]
+"""Runs the next ticks and returns their signals."""
+
+
+def run(
+    plan: Plan,
+    out: Path | None,
+    force: bool,
+    progress: Progress,
+    advance_with: Callable[[Twin], Advance] | None = None,
+) -> Outcome:
     """
     Run a plan to its end, recording to `out` if given.
 
+    `advance_with` gives what advances the twin in place of its own loop: something else is its plant.
     Raises `UserError` if the folder exists (unless `force`), the plan is impossible, or an axis is not
     driven any more at its end (after closing the recording).
     """
@@ -275,7 +316,8 @@ def run(plan: Plan, out: Path | None, force: bool, progress: Progress) -> Outcom
             recorder = SignalRecorder(writer, plan.timing)
             recorder.describe(urdf(twin.machine.description))
         try:
-            for signals in _chunks(twin, plan.ticks, progress):
+            advance = twin.advance if advance_with is None else advance_with(twin)
+            for signals in _chunks(twin, advance, plan.ticks, progress):
                 signals.note_failures(failures)
                 if recorder:
                     recorder.write(signals)
@@ -298,10 +340,10 @@ def _compile(plan: Plan) -> None:
     Twin.of(plan.model, plan.timing, plan.experiment).advance(1)
 
 
-def _chunks(twin: Twin, ticks: int, progress: Progress) -> Iterator[Signals]:
+def _chunks(twin: Twin, advance: Advance, ticks: int, progress: Progress) -> Iterator[Signals]:
     with Interrupt() as interrupt:
         while twin.tick < ticks:
-            yield twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+            yield advance(min(CHUNK_TICKS, ticks - twin.tick))
             progress(twin.tick, ticks)
             if interrupt.raised:
                 raise KeyboardInterrupt
@@ -340,7 +382,6 @@ class SignalRecorder:
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
-        messages: list[tuple[int, int, str, bytes]] = []
         every = range(signals.first, signals.first + signals.ticks)
         amplifier_rows = int(signals.amplifier_messages[0])
         servo_values = np.split(signals.servo_state, 5, axis=1)
@@ -362,37 +403,42 @@ class SignalRecorder:
                 ),
             ),
         )
-        for order, (topic, ticks, valid, values) in enumerate(tables):
+        written = self._standard(signals) if self._standard_topics else []
+        for topic, ticks, valid, values in tables:
             if topic not in self._wire:
                 continue
             records = self._wire[topic].blank(len(ticks))
             records['tick'] = ticks
-            stamps = [self._timing.stamp_ns(int(tick)) for tick in ticks]
-            records['stamp_sec'], records['stamp_nanosec'] = (
-                np.divmod(np.array(stamps, np.int64), NANOSECONDS_PER_SECOND) if stamps else (0, 0)
+            stamps_ns = self._timing.stamps_ns(np.asarray(ticks, np.int64))
+            records['stamp_sec'], records['stamp_nanosec'] = np.divmod(
+                stamps_ns, NANOSECONDS_PER_SECOND
             )
             records['valid'] = valid
             names = self._wire[topic].value_fields
             for name, column in zip(names, values, strict=True):
                 records[name] = column
-            name = f'/{topic.name}'
-            account = self._account.topics[topic]
-            for row, stamp in enumerate(stamps):
-                account.is_new(int(records['tick'][row]), int(records['valid'][row]))
-                messages.append((stamp, order, name, records[row].tobytes()))
-        for row, tick in enumerate(signals.slow_ticks if self._standard_topics else ()):
-            stamp = self._timing.stamp_ns(tick)
-            messages.append((stamp, -2, f'/{CLOCK[0]}', clock_message(stamp)))
-            joints = joint_state_message(
+            self._account.topics[topic].note_all(records['tick'], records['valid'])
+            written.append(Table.of(f'/{topic.name}', stamps_ns, records))
+        self._writer.write_tables(written)
+
+    def _standard(self, signals: Signals) -> list[Table]:
+        """Return the messages of the standard topics, which come first at their ticks."""
+        stamps_ns = self._timing.stamps_ns(np.asarray(signals.slow_ticks, np.int64))
+        clocks = [clock_message(stamp) for stamp in stamps_ns.tolist()]
+        joints = [
+            joint_state_message(
                 stamp,
                 AXES,
                 signals.joint_position[row].tolist(),
                 signals.joint_velocity[row].tolist(),
             )
-            messages.append((stamp, -1, f'/{JOINT_STATES[0]}', joints))
-        messages.sort(key=lambda message: message[:2])
-        for stamp, _, name, data in messages:
-            self._writer.write(name, stamp, data)
+            for row, stamp in enumerate(stamps_ns.tolist())
+        ]
+        return [
+            Table.of_messages(f'/{topic[0]}', stamps_ns, messages)
+            for topic, messages in ((CLOCK, clocks), (JOINT_STATES, joints))
+            if messages
+        ]
 
     def close(self, ticks: int, failure: str = '') -> str:
         """Close the recording; return the line that says whether it is complete, or raise `failure`."""
@@ -420,6 +466,7 @@ def _advance(
     amplifier_state,
     amplifier_parameters,
     commanded,
+    offsets,
     start,
     counts,
     current,
@@ -484,6 +531,9 @@ def _advance(
             place = min(cycle, commanded.shape[0] - 1)
             for axis in range(3):
                 target[axis] = start[axis] + commanded[place, axis]
+            place = min(cycle, offsets.shape[0] - 1)
+            for axis in range(3):
+                servo_state[0]['offset'][axis] = offsets[place, axis]
             servo.step(servo_state, servo_parameters, counts, target, current)
             s = servo_state[0]
             for axis in range(3):

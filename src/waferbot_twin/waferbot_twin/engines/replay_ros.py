@@ -22,14 +22,10 @@ from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import LockstepNode, make_executor
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.wire import WireFormat
-from waferbot_twin.engines.domain import Domain
-from waferbot_twin.engines.ros import (
-    END_TIMEOUT_S,
-    Progress,
-    RosOptions,
-    SeparateProcesses,
-    ros_environment,
-)
+from waferbot_twin.engines.domain import Domain, check_loopback
+from waferbot_twin.engines.layout import RosOptions, layout
+from waferbot_twin.engines.members import END_TIMEOUT_S, SeparateProcesses
+from waferbot_twin.engines.ros import Progress, ros_environment
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Plan
 from waferbot_twin.recording.reader import Recording
@@ -121,6 +117,7 @@ def replay_over_ros(
     options = RosOptions(
         without=others, overrides={'plant': {'start_paused': False, 'recorder_window': 0}}
     )
+    check_loopback()
     with contextlib.ExitStack() as stack:
         domain = Domain()
         stack.callback(domain.release)
@@ -131,7 +128,7 @@ def replay_over_ros(
         stack.callback(rclpy.try_shutdown)
         player = Player(recording, node, ticks)
         stack.callback(player.destroy_node)
-        process = SeparateProcesses(plan, options)
+        process = SeparateProcesses(dict(layout(plan, options)))
         stack.callback(process.end)
         executor = make_executor()
         executor.add_node(player)

@@ -33,6 +33,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.frequency_response.estimate import Array, ComplexArray, Run
 from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
 from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
 
 DERIVED = {'acceleration': '/s2', 'velocity': '/s'}
@@ -129,12 +130,13 @@ def run_of(log: MeasuredLog, channels: tuple[Channel, Channel], variant: Variant
     """
     source, target = (_signal(log, channel, variant) for channel in channels)
     commanded = log.get(channels[0].axis, 'commanded_position')
-    slower = max((source, target), key=lambda signal: median_step_s(signal.time_s))
-    step_s = median_step_s(slower.time_s)
+    step_s = max(median_step_s(signal.time_s) for signal in (source, target))
+    there = [signal for signal in (source, target, commanded) if signal is not None]
+    signals, _ = with_short_pauses(there, step_s)
+    slower = max(signals[:2], key=lambda signal: median_step_s(signal.time_s))
     count = int(np.floor((slower.time_s[-1] - slower.time_s[0]) / step_s + 0.5)) + 1
     middle_s = 0.5 * step_s if slower.held else 0.0
     time_s = slower.time_s[0] + middle_s + step_s * np.arange(count)
-    signals = [signal for signal in (source, target, commanded) if signal is not None]
     values = [signal.at(time_s)[0] for signal in signals]
     known = np.isfinite(values).all(axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(int), [0]])))

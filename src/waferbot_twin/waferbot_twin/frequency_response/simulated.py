@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from waferbot_twin.engines.inprocess import Signals
 from waferbot_twin.logs.contract_signals import ContractSignals
 from waferbot_twin.logs.machine import controls_of
 from waferbot_twin.logs.measured import MeasuredLog
+from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
 from waferbot_twin.recording.reader import Recording
 from waferbot_twin.recording.writer import as_json
@@ -36,18 +37,20 @@ def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> Measure
     """
     Return the log of the closed loop of `variant` for the commanded positions of `log`.
 
-    It begins at rest where the first commands are; an axis without commands is held at zero. Times
-    count from the first command. Raises `UserError` if nothing was commanded, the model has no
+    It begins at rest where the first commands are; an axis without commands is held at zero, and so are
+    the last commands in a pause, of which no more than its beginning is simulated. Times count from the
+    first command. Raises `UserError` if nothing was commanded, the model has no
     controller, or the loop is unstable.
     """
     if variant.is_machine_alone:
         raise UserError(
             f'{variant.name} is a machine alone: without its controller the loop cannot be run'
         )
-    commands = {axis: log.get(axis, 'commanded_position') for axis in AXES}
-    known = {axis: signal for axis, signal in commands.items() if signal is not None}
-    if not known:
+    there = [one for axis in AXES if (one := log.get(axis, 'commanded_position')) is not None]
+    if not there:
         raise UserError(f'{log.name}: without commanded positions the model cannot do the same')
+    short, clock = with_short_pauses(there, 1.0 / timing.servo_hz)
+    known = {signal.axis: signal for signal in short}
     begin_s = min(signal.time_s[0] for signal in known.values())
     end_s = max(signal.time_s[-1] + median_step_s(signal.time_s) for signal in known.values())
     cycles = round((end_s - begin_s) * timing.servo_hz)
@@ -60,7 +63,11 @@ def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> Measure
     signals = run_commanded(variant, timing, commanded, cycles * timing.servo_divider)
     controls = controls_of(variant.model(), timing, variant.name)
     taken = ContractSignals(_recording_of(signals, variant.name), controls)
-    return MeasuredLog(f'{log.name} by {variant.name}', tuple(taken.signals))
+    simulated = [
+        replace(one, time_s=clock.logged_s(one.time_s + begin_s) - begin_s)
+        for one in taken.signals
+    ]
+    return MeasuredLog(f'{log.name} by {variant.name}', tuple(simulated))
 
 
 def _without_gaps(value: np.ndarray) -> np.ndarray:

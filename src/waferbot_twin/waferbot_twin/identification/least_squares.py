@@ -42,6 +42,7 @@ from waferbot_twin.estimation.residual_curves import (
 )
 from waferbot_twin.logs.alignment import common_skew
 from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
 from waferbot_twin.residuals.from_measured_log import amperes_per_unit, drive_of
 
@@ -227,10 +228,16 @@ def _spectrum(
 
 
 def _signals(log: MeasuredLog, axis: str, variant: Variant | None) -> tuple[Signal, Signal, str]:
-    """Return position, drive and the unit of the force; the drive is a force where it can be."""
+    """
+    Return position, drive and the unit of the force; the drive is a force where it can be.
+
+    Without long pauses.
+    """
     position = log[axis, 'position']
     drive = log.get(axis, 'force') or drive_of(log, axis)
     assert drive is not None
+    step_s = max(median_step_s(signal.time_s) for signal in (position, drive))
+    (position, drive), _ = with_short_pauses((position, drive), step_s)
     if drive.kind == 'force':
         return position, drive, drive.unit
     if variant is None or axis not in places.motor_axes(variant):

@@ -136,13 +136,18 @@ def parse(text: str, variant: Variant) -> NamedParameter:
     """
     path, equals, limits = text.partition('=')
     path = path.strip()
-    found = _setting(path, variant) if path.split('.')[0] in SETTINGS else _quantity(path, variant)
+    found = at_path(path, variant)
     if equals:
         return _between(found, text, limits)
     if found.start == 0.0:
         raise UserError(f'{path} is 0 in the model; say between what it may lie: {path}=low:high')
     usual = sorted((found.start / USUAL_RANGE, found.start * USUAL_RANGE))
     return _with_range(found, max(found.low, usual[0]), min(found.high, usual[1]))
+
+
+def at_path(path: str, variant: Variant) -> NamedParameter:
+    """Return the parameter of a path, with all values that it can have; raises `UserError`."""
+    return _setting(path, variant) if path.split('.')[0] in SETTINGS else _quantity(path, variant)
 
 
 def parse_all(texts: Sequence[str], variant: Variant) -> tuple[NamedParameter, ...]:

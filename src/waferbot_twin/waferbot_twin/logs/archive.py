@@ -23,7 +23,7 @@ from waferbot_twin.logs.findings import Finding
 from waferbot_twin.logs.kinds import KINDS
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.recording.reader import Content
-from waferbot_twin.recording.writer import RecordingWriter, as_json
+from waferbot_twin.recording.writer import RecordingWriter, Table, as_json
 
 TYPE = 'waferbot_msgs/msg/MeasuredSample'
 ATTACHMENT = 'measured.json'
@@ -86,21 +86,14 @@ def write_archive(log: MeasuredLog, path: Path, force: bool = False) -> None:
     if log.mapping:
         attachments['mapping.yaml'] = log.mapping
     with RecordingWriter(path, attachments, force) as writer:
-        stamps, places, records = [], [], []
-        for place, signal in enumerate(log.signals):
+        tables = []
+        for signal in log.signals:
             writer.add_topic(topic_of(signal), TYPE)
-            stamp_ns = np.round(signal.time_s * 1e9).astype(np.int64) + shift_ns
-            stamps.append(stamp_ns)
-            places.append(np.full(len(stamp_ns), place))
-            records.append(_records(signal, stamp_ns))
-        stamp_ns, place_of = np.concatenate(stamps), np.concatenate(places)
-        row_of = np.concatenate([np.arange(len(part)) for part in records])
-        topics = [topic_of(signal) for signal in log.signals]
+            stamps_ns = np.round(signal.time_s * 1e9).astype(np.int64) + shift_ns
+            tables.append(Table.of(topic_of(signal), stamps_ns, _records(signal, stamps_ns)))
         # In the order of time, as players want it; at equal times in the order of the signals.
-        for index in np.lexsort((row_of, place_of, stamp_ns)).tolist():
-            place, row = int(place_of[index]), int(row_of[index])
-            writer.write(topics[place], int(stamp_ns[index]), records[place][row].tobytes())
-        writer.close({'complete': 'true', 'samples': str(len(stamp_ns))})
+        writer.write_tables(tables)
+        writer.close({'complete': 'true', 'samples': str(writer.message_count)})
 
 
 def is_archive(content: Content) -> bool:

@@ -32,7 +32,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_twin.logs.columns import Column
-from waferbot_twin.logs.findings import Finding
+from waferbot_twin.logs.findings import Finding, names_text
 from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
 from waferbot_twin.logs.machine import Machine
 from waferbot_twin.logs.mapping import SignalSource
@@ -131,7 +131,7 @@ class BagColumns:
         known = sorted(self.content.messages)
         raise UserError(
             f'{self.path}: has no topic {name!r}{did_you_mean(name, known)} '
-            f'(topics: {", ".join(known) or "none"})'
+            f'(topics: {names_text(known)})'
         )
 
     def _decode(self, topic: str) -> tuple[list[Any], np.ndarray]:

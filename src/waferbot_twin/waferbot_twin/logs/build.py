@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.logs.checks import check_signals
-from waferbot_twin.logs.columns import Column, Columns
+from waferbot_twin.logs.columns import Column, Columns, Table
 from waferbot_twin.logs.counting import AVERAGE, counted
 from waferbot_twin.logs.findings import Finding, rows_text, unique
 from waferbot_twin.logs.hold import with_hold
@@ -19,7 +19,7 @@ from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.mapping import LogMapping, SignalSource, TimeSource
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.timebase import in_order, median_step_s, unwrap
-from waferbot_twin.logs.units import COUNT_UNITS
+from waferbot_twin.logs.units import COUNT_UNITS, TIME_UNITS
 
 FEWEST_SAMPLES = 16
 """A signal with fewer samples is left out: nothing can be told from it."""
@@ -30,6 +30,9 @@ LATE_S = 1e6
 
 LATEST_S = 2.0**31 - 1.0
 """The last second of a ROS stamp, in January 2038."""
+
+FIRST_S = 9.4e8
+"""The earliest that a calendar clock of a log shows, s since 1970: end of 1999."""
 
 YEAR_S = 365.25 * 86400.0
 
@@ -92,8 +95,17 @@ def _check_times(mapping: LogMapping, signals: list[Signal]) -> None:
     if furthest_s > LATEST_S:
         raise UserError(
             f'{mapping.source}: with this unit of time the log goes to {furthest_s:.4g} s, which is '
-            f'{furthest_s / YEAR_S:.3g} years; is time.unit right?'
+            f'{furthest_s / YEAR_S:.3g} years; is time.unit right?{_epoch_hint(mapping, furthest_s)}'
         )
+
+
+def _epoch_hint(mapping: LogMapping, furthest_s: float) -> str:
+    """Return in which unit times would be of a calendar clock of our days, in words."""
+    for unit, unit_s in TIME_UNITS.items():
+        in_unit_s = furthest_s / mapping.time.unit_s * unit_s
+        if FIRST_S < in_unit_s <= LATEST_S:
+            return f' In {unit} it would be of the year {1970 + int(in_unit_s / YEAR_S)}'
+    return ''
 
 
 def finish(
@@ -184,6 +196,10 @@ def lattice_step(value: NDArray[np.float64]) -> float:
 def _signal(
     mapping: LogMapping, source: SignalSource, table: Columns, findings: list[Finding]
 ) -> Signal | None:
+    if source.where is not None:
+        if not isinstance(table, Table):
+            raise UserError(f'{mapping.source}: where belongs to text, JSON and Parquet')
+        table = table.where(source.where)
     column = table.column(mapping.column(source.column))
     time_s = _times(mapping, source, table, column, findings) - source.delay_s
     number = source.sign * (source.scale * column.value / source.divide_by + source.offset)

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -37,6 +37,14 @@ class Column:
         return f'{self.file}, {self.noun} {self.number[row]}'
 
 
+@dataclass(frozen=True)
+class Where:
+    """Which rows of a table belong to a signal: those in which `column` says `text`."""
+
+    column: str | int
+    text: str
+
+
 class Columns(Protocol):
     """A log from which columns can be taken."""
 
@@ -48,7 +56,12 @@ class Columns(Protocol):
 
 @dataclass
 class Table:
-    """A log whose columns are equally long: `values` (rows, columns); `names` may be empty texts."""
+    """
+    A log whose columns are equally long: `values` (rows, columns); `names` may be empty texts.
+
+    `texts` has the cells of columns that say which signal a row is of, by the place of the column.
+    `time_s` are the times of the rows if the log says them elsewhere than in a column.
+    """
 
     file: str
     names: list[str]
@@ -57,17 +70,49 @@ class Table:
     number: NDArray[np.int64]
     sample: NDArray[np.int64]
     findings: list[Finding] = field(default_factory=list)
+    texts: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    time_s: NDArray[np.float64] | None = None
 
     def column(self, name: str | int) -> Column:
         """Return a column by its name in the header, or by its number from 1."""
-        place = self._place(name)
-        return Column(self.values[:, place], self.file, self.noun, self.number, self.sample)
+        values = self.values[:, self.place(name)]
+        return Column(values, self.file, self.noun, self.number, self.sample, self.time_s)
+
+    def rows(self, keep: NDArray[np.bool_] | slice) -> Table:
+        """Return some of the rows."""
+        return replace(
+            self,
+            values=self.values[keep],
+            number=self.number[keep],
+            sample=self.sample[keep],
+            texts={place: list(np.asarray(cells)[keep]) for place, cells in self.texts.items()},
+            time_s=None if self.time_s is None else self.time_s[keep],
+        )
+
+    def where(self, choice: Where) -> Table:
+        """
+        Return the rows in which a column says something: a text, or a number of the same value.
+
+        Samples are counted anew. Raises `UserError` if there is no such row.
+        """
+        place = self.place(choice.column)
+        cells = self.texts.get(place, [])
+        keep = np.array([_same(cell, choice.text) for cell in cells], np.bool_)
+        if not keep.any():
+            known = sorted({cell.strip() for cell in cells})
+            raise UserError(
+                f'{self.file}: no row has {choice.text!r} in column {choice.column!r} '
+                f'(there: {", ".join(known[:12]) or "no text"})'
+            )
+        chosen = self.rows(keep)
+        return replace(chosen, sample=np.arange(len(chosen.number)))
 
     def place_of(self) -> Callable[[int], str]:
         """Return the function that says where a row is."""
         return lambda row: f'{self.file}, {self.noun} {self.number[row]}'
 
-    def _place(self, name: str | int) -> int:
+    def place(self, name: str | int) -> int:
+        """Return the place of a column, from 0; raises `UserError` if there is none."""
         count = self.values.shape[1]
         if isinstance(name, int):
             if name > count:
@@ -92,3 +137,13 @@ class Table:
             f'{self.file}: has no column {name!r}{did_you_mean(wanted, known)} '
             f'({count} columns: {listed})'
         )
+
+
+def _same(cell: str, text: str) -> bool:
+    """Tell whether a cell says a text; 1.0 says 1."""
+    if cell.strip() == text:
+        return True
+    try:
+        return float(cell) == float(text)
+    except ValueError:
+        return False

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
+
+MOST_NAMES = 12
+"""Names that a message lists."""
 
 ACTIONS = ('left out', 'put in order', 'suspect', 'note')
 """
@@ -39,3 +42,10 @@ def rows_text(rows: np.ndarray, place_of: Callable[[int], str]) -> str:
     if len(rows) == 1:
         return first
     return f'{first} and {len(rows) - 1} more up to {place_of(int(rows[-1]))}'
+
+
+def names_text(names: Collection[str]) -> str:
+    """Return names in words, the first `MOST_NAMES` of many; `none` if there is none."""
+    listed = ', '.join(sorted(names)[:MOST_NAMES])
+    more = f' and {len(names) - MOST_NAMES} more' if len(names) > MOST_NAMES else ''
+    return listed + more if listed else 'none'

@@ -18,16 +18,19 @@ from waferbot_twin.logs.bags import BagColumns, is_bag, joint_state_sources, rea
 from waferbot_twin.logs.build import Collected, build, finish
 from waferbot_twin.logs.columns import Columns
 from waferbot_twin.logs.contract_signals import ContractSignals
-from waferbot_twin.logs.findings import Finding
+from waferbot_twin.logs.findings import Finding, names_text
 from waferbot_twin.logs.gather import read_gather
+from waferbot_twin.logs.json_lines import read_json
 from waferbot_twin.logs.machine import controls_of, load_constants, machine_of
 from waferbot_twin.logs.mapping import LogMapping, TimeSource, load_mapping
 from waferbot_twin.logs.measured import MeasuredLog
-from waferbot_twin.logs.text import read_text
+from waferbot_twin.logs.parquet import read_parquet
+from waferbot_twin.logs.text import read_list, read_text
 from waferbot_twin.models import load_model, recorded_model
 from waferbot_twin.recording.reader import Content, recording_files, recording_of
 
 ARRAYS = ('.npy', '.npz', '.mat')
+JSON = ('.jsonl', '.ndjson', '.json')
 
 
 def load_log(
@@ -73,13 +76,20 @@ def load_log(
 
 
 def _read(path: Path, mapping: LogMapping) -> Columns:
-    """Return the columns of a file of text or arrays."""
+    """Return the columns of a file of text, arrays, JSON or Parquet."""
     if mapping.format == 'pmac_gather':
         return read_gather(path, mapping.gather)
     if mapping.format == 'array' or (not mapping.format and path.suffix in ARRAYS):
         if path.suffix in ('.npz', '.mat'):
             return read_variables(path)
         return read_npy(path, mapping.options.get('samples_along'))
+    if mapping.format == 'json' or (not mapping.format and path.suffix in JSON):
+        return read_json(path, mapping.options.get('encoding'))
+    if mapping.format == 'parquet' or (not mapping.format and path.suffix == '.parquet'):
+        return read_parquet(path)
+    choosing = mapping.choosing_columns()
+    if choosing:
+        return read_list(path, mapping.options, choosing)
     return read_text(path, mapping.options)
 
 
@@ -135,10 +145,9 @@ def _from_bag(
     if not content.closed:
         collected.findings.insert(0, _cut_off(path, content))
     if not collected.signals:
-        topics = ', '.join(sorted(content.messages)) or 'none'
         raise UserError(
             f'{path}: holds no topic of the contract and no joint state of an axis; say with --map '
-            f'which topics are what (topics: {topics})'
+            f'which topics are what (topics: {names_text(content.messages)})'
         )
     return finish(collected, _header(path, recording_files(path), mapping, name), peak_current)
 

@@ -19,6 +19,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_twin.logs.columns import Where
 from waferbot_twin.logs.kinds import KINDS, OTHER_QUANTITIES, SAME_KIND, UNITS, is_linear
 from waferbot_twin.logs.machine import Machine, load_constants
 from waferbot_twin.logs.units import (
@@ -60,7 +61,7 @@ class SignalSource:
 
     SI value = factor * sign * (scale * column / divide_by + offset) + shift, where factor and shift are
     those of the unit (`conversion`); `wraps_at` and `resolution` are in the unit as given. `hold` and
-    `counting` are as in `measured.Signal`.
+    `counting` are as in `measured.Signal`. `where` says which rows are the signal's, None for all.
     """
 
     column: Column
@@ -79,6 +80,7 @@ class SignalSource:
     delay_s: float = 0.0
     time: TimeSource | None = None
     in_companion: bool = False
+    where: Where | None = None
 
     @property
     def si_unit(self) -> str:
@@ -109,6 +111,11 @@ class LogMapping:
         if self.part is None:
             raise UserError(f'{self.source}: has no key part, so --part says nothing')
         return replace(self, part=part)
+
+    def choosing_columns(self) -> list[Column]:
+        """Return the columns that say of which signal a row is."""
+        chosen = [source.where.column for source in self.signals if source.where is not None]
+        return list(dict.fromkeys(chosen))
 
     def column(self, column: Column) -> Column:
         """Return a column with `$part` replaced by its number."""
@@ -263,6 +270,7 @@ def _signal(
         unit_s = TIME_UNITS.get(document.data.get('time', {}).get('unit', 's'), cycle_s or 1.0)
         time = TimeSource(data.get('time_column'), unit_s, None, data.get('sample_time_s'))
     unit = str(data['unit'])
+    where = data.get('where')
     return SignalSource(
         column=data['column'],
         kind=kind,
@@ -280,6 +288,7 @@ def _signal(
         delay_s=float(data.get('delay_s', 0.0)),
         time=time,
         in_companion=data.get('in', 'log') == 'companion',
+        where=Where(where['column'], str(where['is'])) if where else None,
     )
 
 
@@ -377,5 +386,5 @@ def _check_grammar(document: Document) -> None:
     }
     rule = error.validator_value
     rule = ', '.join(map(str, rule)) if isinstance(rule, list) else rule
-    text = texts.get(str(error.validator), error.message).format(rule)
+    text = texts.get(str(error.validator), 'is nothing that may stand there').format(rule)
     raise document.error(key, f'is {error.instance!r}; it {text}')

@@ -10,11 +10,10 @@ import matplotlib
 matplotlib.use('Agg')
 
 import matplotlib.pyplot as plt
-import numpy as np
 
-from waferbot_twin.html_page import save_drawing
-from waferbot_twin.logs.kinds import KINDS
-from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.html_page import save_drawing, set_title
+from waferbot_twin.logs.measured import MeasuredLog
+from waferbot_twin.thinning import thinned_with_gaps
 
 PANELS = (
     ('position', ('commanded_position', 'position')),
@@ -27,6 +26,9 @@ PANELS = (
     ('voltage', ('voltage_q', 'voltage')),
     ('temperature', ('temperature',)),
 )
+
+MOST_DRAWN = 8000
+"""Samples of a line, an envelope if there are more: several for each column of the widest picture."""
 
 
 def plot_log(log: MeasuredLog, file: Path) -> None:
@@ -46,8 +48,8 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
             panel = panels[row][column]
             signals = [found for kind in kinds if (found := log.get(axis, kind))]
             for signal in signals:
-                style = 'steps-post' if KINDS[signal.kind].held else 'default'
-                time_s, value = _broken_at_gaps(signal)
+                style = 'steps-post' if signal.held else 'default'
+                time_s, value = thinned_with_gaps(signal.time_s, signal.value, MOST_DRAWN)
                 label = signal.kind.replace('_', ' ')
                 panel.plot(time_s, value, lw=0.9, drawstyle=style, label=label)
             if not signals:
@@ -59,12 +61,5 @@ def plot_log(log: MeasuredLog, file: Path) -> None:
             panel.grid(alpha=0.3)
         panels[0][column].set_title(axis)
         panels[-1][column].set_xlabel('time [s]')
-    figure.suptitle(log.name, fontsize=11)
-    figure.tight_layout()
+    set_title(figure, log.name)
     save_drawing(figure, file)
-
-
-def _broken_at_gaps(signal: Signal) -> tuple[np.ndarray, np.ndarray]:
-    """Return times and values with a NaN in every gap, so that no line is drawn across it."""
-    gap = np.flatnonzero(np.diff(signal.time_s) > signal.gap_s) + 1
-    return np.insert(signal.time_s, gap, signal.time_s[gap]), np.insert(signal.value, gap, np.nan)

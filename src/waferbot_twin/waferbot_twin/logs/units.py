@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 _TURN = 2.0 * math.pi
 _DEGREE = math.pi / 180.0
+_INCH = 0.0254
+_POUND = 0.45359237 * 9.80665  # force: exact by definition of pound and standard gravity
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ UNITS_IN_LOGS = {
     'mm': Unit('length', 1e-3),
     'um': Unit('length', 1e-6),
     'nm': Unit('length', 1e-9),
-    'inch': Unit('length', 0.0254),
+    'inch': Unit('length', _INCH),
+    'in': Unit('length', _INCH),
     'rad': Unit('angle', 1.0),
     'mrad': Unit('angle', 1e-3),
     'urad': Unit('angle', 1e-6),
@@ -40,13 +43,16 @@ UNITS_IN_LOGS = {
     'arcmin': Unit('angle', _DEGREE / 60.0),
     'arcsec': Unit('angle', _DEGREE / 3600.0),
     'rev': Unit('angle', _TURN),
+    'turn': Unit('angle', _TURN),
     'm/s': Unit('speed', 1.0),
     'mm/s': Unit('speed', 1e-3),
     'um/s': Unit('speed', 1e-6),
+    'in/s': Unit('speed', _INCH),
     'rad/s': Unit('angular speed', 1.0),
     'mrad/s': Unit('angular speed', 1e-3),
     'deg/s': Unit('angular speed', _DEGREE),
     'rev/s': Unit('angular speed', _TURN),
+    'turn/s': Unit('angular speed', _TURN),
     'rpm': Unit('angular speed', _TURN / 60.0),
     'A': Unit('current', 1.0),
     'mA': Unit('current', 1e-3),
@@ -55,10 +61,15 @@ UNITS_IN_LOGS = {
     'N': Unit('force', 1.0),
     'mN': Unit('force', 1e-3),
     'kN': Unit('force', 1e3),
+    'lb': Unit('force', _POUND),
+    'kip': Unit('force', 1e3 * _POUND),
     'Nm': Unit('torque', 1.0),
     'mNm': Unit('torque', 1e-3),
     'Ncm': Unit('torque', 1e-2),
     'kNm': Unit('torque', 1e3),
+    'oz-in': Unit('torque', _POUND / 16.0 * _INCH),
+    'lb-in': Unit('torque', _POUND * _INCH),
+    'lb-ft': Unit('torque', _POUND * 12.0 * _INCH),
     'DAC_bits': Unit('share', 1.0 / 32768.0),
     '%': Unit('share', 0.01),
     '1': Unit('share', 1.0),
@@ -67,7 +78,10 @@ UNITS_IN_LOGS = {
     'degC': Unit('temperature', 1.0),
     'K': Unit('temperature', 1.0, -273.15),
 }
-"""Units with a fixed factor. `A_rms` of a sine is its peak over the square root of two."""
+"""
+Units with a fixed factor. `A_rms` of a sine is its peak over the square root of two; lb and oz are
+forces.
+"""
 
 COUNT_UNITS = ('counts', 'counts/s', 'counts/servo_cycle')
 """Units whose factor is the machine's: counts of the encoder that belongs to the kind."""

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
     AXES,
@@ -67,6 +69,20 @@ class TopicAccount:
                 new = True
         return new
 
+    def note_all(self, ticks: np.ndarray, valid: np.ndarray) -> None:
+        """Note many messages (n,) in their order, as `is_new` does with each of them."""
+        ticks = ticks.astype(np.int64)
+        for place, last_tick in enumerate(self.last):
+            own = ticks[(valid >> place & 1).astype(bool)]
+            before = np.maximum.accumulate(np.concatenate([[last_tick], own]))
+            new, newest_before = own > before[:-1], before[:-1]
+            self.given[place] += int(np.count_nonzero(new & (own % self.spacing == 0)))
+            if self.needed >> place & 1:
+                gaps = np.flatnonzero(new & (own - newest_before > self.spacing))
+                if len(gaps):
+                    self._note_gap(self._due_behind(int(newest_before[gaps[0]])))
+            self.last[place] = int(before[-1])
+
     def needed_places(self) -> list[int]:
         """Return the indices of the places that must be there."""
         return [place for place in range(len(self.last)) if self.needed >> place & 1]
@@ -106,10 +122,15 @@ class Account:
         )
 
     def missing(self, ticks: int) -> dict[str, int]:
-        """Return, per topic, how many messages of the run's `ticks` ticks lack (places counted)."""
+        """
+        Return, per topic, how many messages of the run's `ticks` ticks lack (places counted).
+
+        A place that is beyond that already must have been given up to where it is.
+        """
         return {
             topic.name: sum(
-                self.timing.messages(ticks, own.spacing) - own.given[place]
+                self.timing.messages(max(ticks, own.last[place] + 1), own.spacing)
+                - own.given[place]
                 for place in own.needed_places()
             )
             for topic, own in self.topics.items()

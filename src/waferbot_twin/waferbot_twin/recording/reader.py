@@ -9,8 +9,9 @@ tells which places were given at that tick.
 
 from __future__ import annotations
 
+import contextlib
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ import numpy as np
 import yaml
 import zstandard
 from mcap.exceptions import InvalidMagic, McapError
-from mcap.records import Attachment, Channel, Footer, Message, Metadata, Schema
+from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
@@ -28,8 +29,18 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.checked_json import TEXT, WHOLE, checked_json
+from waferbot_twin.recording.chunks import Messages, one_message, parts_of
 
 _LATEST_NS = 2**63 - 1
+
+Take = Callable[[str, Messages], None]
+"""Called with a topic and the next of its messages."""
+
+Progress = Callable[[int, int], None]
+"""Called with the bytes that were read and the bytes to read."""
+
+TakeRecords = Callable[[Topic, np.ndarray], None]
+"""Called with a contract topic and the next of its messages, as a structured array."""
 
 _RATE = {**WHOLE, 'minimum': 1, 'maximum': 10**9}
 _RUN = {
@@ -106,7 +117,10 @@ class Recording:
 def recording_file(path: Path) -> Path:
     """Return the `.mcap` file of a recording given as folder or file; raises `UserError`."""
     if path.is_file() and path.suffix != '.mcap':
-        raise UserError(f'{path} is no .mcap file; give a recording folder')
+        raise UserError(
+            f'{path} is no recording; bring it in first: '
+            f'waferbot import {path} --map MAP.yaml --out DIR (docs/logs.md)'
+        )
     files = recording_files(path)
     if len(files) > 1:
         raise UserError(
@@ -156,8 +170,87 @@ def read_recording(path: Path | str) -> Recording:
     Raises `UserError` if there is none, if the file is no MCAP, or if a contract topic has another
     definition than the installed messages (type hash).
     """
-    file = recording_file(Path(path))
-    return recording_of(Path(path), file, read_content([file]))
+    parts: dict[Topic, list[np.ndarray]] = {}
+    recording = stream_recording(
+        Path(path), lambda topic, records: parts.setdefault(topic, []).append(records)
+    )
+    for topic in list(parts):
+        recording.topics[topic.name] = merge_by_tick(np.concatenate(parts.pop(topic)), topic)
+    return recording
+
+
+def header_of(path: Path) -> Recording:
+    """
+    Return a recording without its messages: what is attached, wherever it is in the file.
+
+    Chunks are passed over, so that this is quick. Raises `UserError` if there is no such file.
+    """
+    file = recording_file(path)
+    attachments = {}
+    # What is damaged is told by whoever reads the messages.
+    with file.open('rb') as stream, contextlib.suppress(*_DAMAGE):
+        for record in StreamReader(stream, emit_chunks=True).records:
+            if isinstance(record, Attachment):
+                attachments[record.name] = record.data.decode('utf-8', 'replace')
+    return Recording(path, {}, {}, {}, False, attachments)
+
+
+def stream_recording(path: Path, take: TakeRecords, progress: Progress | None = None) -> Recording:
+    """
+    Give the messages of the contract's topics to `take`, some thousand at a time, in the file's order.
+
+    The result has everything else of the recording: its `topics` are empty arrays. So a recording of
+    any length needs no memory but for what the caller keeps. Raises `UserError` as `read_recording`.
+    """
+    file = recording_file(path)
+    content = Content(closed=True)
+    counts: dict[str, int] = {}
+    known: dict[str, tuple[Topic, WireFormat] | None] = {}
+    empty: dict[str, np.ndarray] = {}
+
+    def take_messages(name: str, messages: Messages) -> None:
+        counts[name] = counts.get(name, 0) + len(messages)
+        if name not in known:
+            known[name] = _wire_of(name, content, file)
+        found = known[name]
+        if found is not None:
+            topic, wire = found
+            take(topic, _records_of(wire, messages))
+
+    _read_file(file, content, take_messages, progress)
+    for name in content.types:
+        if (of_name := _wire_of(name, content, file)) is not None:
+            empty[of_name[0].name] = np.zeros(0, of_name[1].dtype)
+    return Recording(
+        path,
+        empty,
+        {name: counts.get(name, 0) for name in content.types},
+        content.types,
+        content.closed,
+        content.attachments,
+        content.summary,
+    )
+
+
+def _records_of(wire: WireFormat, messages: Messages) -> np.ndarray:
+    """Return messages as one structured array; those in another layout take the slow way."""
+    rows = messages.rows(wire.size)
+    records = None if rows is None else wire.records_of_rows(rows)
+    return wire.records(messages.each()) if records is None else records
+
+
+def _wire_of(name: str, content: Content, file: Path) -> tuple[Topic, WireFormat] | None:
+    """Return the contract topic that a recorded one is, and its codec; raises `UserError`."""
+    topic = _contract_topic(name, content.types[name])
+    if topic is None:
+        return None
+    recorded_hash = content.hashes[name]
+    if recorded_hash and recorded_hash != type_hash(topic.type_name):
+        raise UserError(
+            f'{file}: topic {name} was recorded with another definition of {topic.type_name}; '
+            'read it with the waferbot version that made it'
+        )
+    return topic, WireFormat(topic.type_name)
 
 
 def recording_of(path: Path, file: Path, content: Content) -> Recording:
@@ -165,16 +258,10 @@ def recording_of(path: Path, file: Path, content: Content) -> Recording:
     messages, types = content.messages, content.types
     topics = {}
     for name, data in messages.items():
-        topic = _contract_topic(name, types[name])
-        if topic is None:
+        found = _wire_of(name, content, file)
+        if found is None:
             continue
-        recorded_hash = content.hashes[name]
-        if recorded_hash and recorded_hash != type_hash(topic.type_name):
-            raise UserError(
-                f'{file}: topic {name} was recorded with another definition of {topic.type_name}; '
-                'read it with the waferbot version that made it'
-            )
-        wire = WireFormat(topic.type_name)
+        topic, wire = found
         topics[topic.name] = merge_by_tick(wire.records(data), topic)
     return Recording(
         path,
@@ -193,8 +280,9 @@ def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
     if len(ticks) == len(records) and np.all(np.diff(records['tick'].astype(np.int64)) > 0):
         return records
     merged = np.zeros(len(ticks), records.dtype)
-    for name in ('encapsulation', 'stamp_sec', 'stamp_nanosec', 'frame_id_length', 'tick'):
-        merged[name][row] = records[name]
+    for name in records.dtype.names or ():
+        if not records.dtype[name].shape and name not in ('valid', topic.mask):
+            merged[name][row] = records[name]
     places = len(topic.places)
     fields = [name for name in records.dtype.names or () if records.dtype[name].shape]
     for place in range(places):
@@ -252,44 +340,58 @@ class Content:
 
 
 def read_content(files: Iterable[Path]) -> Content:
-    """Read MCAP files record by record, from the start, as far as each goes; raises `UserError`."""
-    content = Content()
-    closed = [_read_file(file, content) for file in files]
-    content.closed = all(closed)
+    """Read MCAP files from the start, as far as each goes; raises `UserError`."""
+    content = Content(closed=True)
+
+    def take(topic: str, messages: Messages) -> None:
+        content.messages[topic] += messages.each()
+        content.log_times_ns[topic] += messages.log_times_ns.tolist()
+
+    for file in files:
+        _read_file(file, content, take)
     return content
 
 
-def _read_file(file: Path, content: Content) -> bool:
-    """Add what is in a file to `content`; return whether it was closed."""
+def _read_file(file: Path, content: Content, take: Take, progress: Progress | None = None) -> None:
+    """Add what is in a file to `content`, and give its messages to `take`."""
     schemas: dict[int, Schema] = {}
-    channels: dict[int, tuple[list[bytes], list[int]]] = {}
-    closed = False
+    topics: dict[int, str] = {}
+    size = file.stat().st_size
+    closed, given = False, any(content.messages.values())
+
+    def declare(record: Schema | Channel) -> None:
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif record.id not in topics:
+            topics[record.id] = record.topic
+            _add_topic(content, record, schemas.get(record.schema_id))
+
+    def give(channel: int, messages: Messages) -> None:
+        nonlocal given
+        if channel not in topics:
+            raise McapError(f'a message of channel {channel}, which is none')
+        latest_ns = int(messages.log_times_ns.max())
+        if latest_ns > _LATEST_NS:
+            raise McapError(f'a message of the time {latest_ns} ns')
+        take(topics[channel], messages)
+        given = True
+
     with file.open('rb') as stream:
         try:
-            for record in StreamReader(stream, validate_crcs=True).records:
-                if isinstance(record, Message):
-                    if record.channel_id not in channels:
-                        raise McapError(f'a message of channel {record.channel_id}, which is none')
-                    if record.log_time > _LATEST_NS:
-                        raise McapError(f'a message of the time {record.log_time} ns')
-                    data, times = channels[record.channel_id]
-                    data.append(record.data)
-                    times.append(record.log_time)
-                elif isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel) and record.id not in channels:
-                    channels[record.id] = (
-                        content.messages.setdefault(record.topic, []),
-                        content.log_times_ns.setdefault(record.topic, []),
-                    )
-                    schema = schemas.get(record.schema_id)
-                    content.types[record.topic] = schema.name if schema else ''
-                    content.definitions[record.topic] = (
-                        (schema.data.decode('utf-8', 'replace'), schema.encoding)
-                        if schema
-                        else ('', '')
-                    )
-                    content.hashes[record.topic] = record.metadata.get('topic_type_hash', '')
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True)
+            for record in reader.records:
+                if isinstance(record, Chunk):
+                    declared, by_channel = parts_of(record)
+                    for one in declared:
+                        declare(one)
+                    for channel, messages in by_channel.items():
+                        give(channel, messages)
+                    if progress is not None:
+                        progress(stream.tell(), size)
+                elif isinstance(record, Message):
+                    give(record.channel_id, one_message(record))
+                elif isinstance(record, (Schema, Channel)):
+                    declare(record)
                 elif isinstance(record, Attachment):
                     content.attachments[record.name] = record.data.decode('utf-8', 'replace')
                 elif isinstance(record, Metadata) and record.name == 'waferbot':
@@ -297,11 +399,22 @@ def _read_file(file: Path, content: Content) -> bool:
                 elif isinstance(record, Footer):
                     closed = True
         except InvalidMagic as error:
-            if not channels:
+            if not topics:
                 raise UserError(f'{file} is no MCAP file') from error
             content.trouble = content.trouble or f'{file.name}: {error!r}'
         except _DAMAGE as error:
-            if not any(data for data, _ in channels.values()):
+            if not given:
                 raise UserError(f'{file} holds no readable message ({error!r})') from error
             content.trouble = content.trouble or f'{file.name}: {error!r}'
-    return closed
+    content.closed = content.closed and closed
+
+
+def _add_topic(content: Content, channel: Channel, schema: Schema | None) -> None:
+    """Note a topic that a file declares."""
+    content.messages.setdefault(channel.topic, [])
+    content.log_times_ns.setdefault(channel.topic, [])
+    content.types[channel.topic] = schema.name if schema else ''
+    content.definitions[channel.topic] = (
+        (schema.data.decode('utf-8', 'replace'), schema.encoding) if schema else ('', '')
+    )
+    content.hashes[channel.topic] = channel.metadata.get('topic_type_hash', '')

@@ -8,7 +8,7 @@ falls too far behind; that nothing was lost is not assumed all the same, but cou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rclpy.clock import Clock as WallClock
@@ -30,7 +30,9 @@ from waferbot_lockstep.contract import (
     Topic,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.node import (
+    INTERRUPTED,
     SIGN_OF_LIFE_PERIOD_S,
     latched_qos,
     lockstep_qos,
@@ -42,6 +44,7 @@ from waferbot_lockstep.standard_messages import (
     ROBOT_DESCRIPTION,
     stamp_of,
 )
+from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.failures import Failures
@@ -63,7 +66,8 @@ class Recorder(Node):
     Records a twin.
 
     `account` knows what has been recorded; `tick` is the newest tick seen; `stop_reason` is what a
-    node that left the lock-step said; `failures` tells which axes are not driven any more.
+    node that left the lock-step said, `interrupted` whether because the user had it so; `failures`
+    tells which axes are not driven any more.
     """
 
     def __init__(
@@ -72,21 +76,26 @@ class Recorder(Node):
         timing: Timing,
         needed: Mapping[Topic, int] | None = None,
         clock_needed: bool = True,
+        exchange: Exchange | None = None,
     ) -> None:
         """
-        Subscribe to everything; with no writer, only keep account.
+        Be ready to record; with no writer, only keep account.
 
         `needed` is that of `Account`; `clock_needed` says whether `/clock` and `joint_states` must be
         there too: then the plant is one that waits for the recorder, and a message from far ahead is a
-        stranger's, which would make all that is still to come look old.
+        stranger's, which would make all that is still to come look old. What nodes of this process give,
+        or a channel, is taken from `exchange`.
         """
         super().__init__('recorder')
+        self.exchange = exchange or Exchange()
         self.account = Account(timing, needed)
         self._clock_needed = clock_needed
         self.tick = -1
         self.stop_reason = ''
+        self.interrupted = False
         self.failure = ''
         self.failures = Failures(timing)
+        self._stops = Stops(self)
         self._writer = writer
         self._timing = timing
         self._recorded_publisher = self.create_publisher(
@@ -94,20 +103,18 @@ class Recorder(Node):
         )
         self.create_timer(
             SIGN_OF_LIFE_PERIOD_S,
-            self._announce,
+            self._on_sign_of_life,
             clock=WallClock(clock_type=ClockType.STEADY_TIME),
         )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
+        self._described = False
+
+    def begin(self) -> None:
+        """Listen to everything; called once, when all nodes of this process are there."""
         for topic in CONTRACT_TOPICS:
-            self._record(
-                topic.name,
-                topic.type_name,
-                message_class(topic),
-                self._contract_callback(topic, WireFormat(topic.type_name)),
-            )
+            self._record_contract(topic, WireFormat(topic.type_name))
         for (name, type_name), message_type in ((CLOCK, Clock), (JOINT_STATES, JointState)):
             self._record(name, type_name, message_type, self._standard_callback(name))
-        self._described = False
         self._record(*ROBOT_DESCRIPTION, String, self._on_description, latched=True)
         self.create_subscription(
             waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
@@ -129,26 +136,52 @@ class Recorder(Node):
         callback: Callable[[bytes], None],
         latched: bool = False,
     ) -> None:
-        if self._writer is not None:
-            self._writer.add_topic(self.resolve_topic_name(name), type_name, latched)
+        """Have `callback` called with every message of a standard topic."""
+        self._declare_topic(name, type_name, latched)
+        full_name = self.resolve_topic_name(name)
+        if not latched and self.exchange.takes(full_name):
+            self.exchange.listen(full_name, callback)
+            return
         qos = latched_qos() if latched else lockstep_qos()
         self.create_subscription(message_type, name, callback, qos, raw=True)
+
+    def _record_contract(self, topic: Topic, wire: WireFormat) -> None:
+        """Record a topic of the contract."""
+        self._declare_topic(topic.name, topic.type_name)
+        take = self._contract_callback(topic, wire)
+
+        def on_message(data: bytes) -> None:
+            try:
+                fields = wire.decode(data)
+            except UserError as error:
+                self.failure = f'topic {topic.name}: {error}'
+            else:
+                take(data, *fields)
+
+        name = self.resolve_topic_name(topic.name)
+        if self.exchange.takes(name, topic.all_places):
+            self.exchange.listen(name, take, wire.decode)
+        else:
+            self.create_subscription(
+                message_class(topic), topic.name, on_message, lockstep_qos(), raw=True
+            )
+
+    def _declare_topic(self, name: str, type_name: str, latched: bool = False) -> None:
+        if self._writer is not None:
+            self._writer.add_topic(self.resolve_topic_name(name), type_name, latched)
 
     def _on_description(self, data: bytes) -> None:
         if self._writer is not None and not self._described:
             self._writer.write(self.resolve_topic_name(ROBOT_DESCRIPTION[0]), 0, data)
         self._described = True
 
-    def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[[bytes], None]:
+    def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[..., None]:
         name = self.resolve_topic_name(topic.name)
         is_new, writer = self.account.topics[topic].is_new, self._writer
 
-        def on_message(data: bytes) -> None:
-            try:
-                tick, stamp_ns, valid, values = wire.decode(data)
-            except UserError as error:
-                self.failure = f'topic {topic.name}: {error}'
-                return
+        def take(
+            data: bytes, tick: int, stamp_ns: int, valid: int, values: Sequence[float]
+        ) -> None:
             if self._clock_needed and tick > self.tick + FURTHEST_TICKS:
                 self.failure = (
                     f'topic {topic.name}, tick {tick}: the twin is at tick {max(self.tick, 0)}; '
@@ -167,7 +200,7 @@ class Recorder(Node):
                 if writer is not None:
                     writer.write(name, stamp_ns, wire.normalised(data))
 
-        return on_message
+        return take
 
     def _standard_callback(self, short_name: str) -> Callable[[bytes], None]:
         name = self.resolve_topic_name(short_name)
@@ -182,6 +215,10 @@ class Recorder(Node):
 
         return on_message
 
+    def _on_sign_of_life(self) -> None:
+        self._note_stop(self._stops.look_around())
+        self._announce()
+
     def _announce(self) -> None:
         """Tell the plant how far the recording has come."""
         tick = self.account.reached()
@@ -191,5 +228,9 @@ class Recorder(Node):
         self._recorded_publisher.publish(message)
 
     def _on_stop(self, stop: Any) -> None:
-        if not self.stop_reason:
+        self._note_stop(self._stops.heard(stop))
+
+    def _note_stop(self, stop: Any) -> None:
+        if stop is not None and not self.stop_reason:
+            self.interrupted = stop.reason == INTERRUPTED
             self.stop_reason = f'{stop.node} stopped at tick {stop.tick}: {stop.reason}'

@@ -3,8 +3,10 @@
 Writes a recording: a folder with `metadata.yaml` and one `.mcap`, as `ros2 bag` does.
 
 Messages go to the file in chunks of a quarter of a megabyte, which are flushed as they are made, so
-that a run that is killed loses only its last moments. What the run was made from (model, experiment,
-parameters, seed, versions) is attached at the beginning, before the first message.
+that a run that is killed loses only its last moments. A thread of its own makes them: whoever writes a
+message only puts it aside, and does not wait for compression or the disk unless they are far behind.
+What the run was made from (model, experiment, parameters, seed, versions) is attached at the
+beginning, before the first message.
 """
 
 from __future__ import annotations
@@ -12,23 +14,57 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+import queue
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 import yaml
-from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.recording.mcap_writer import Batch, McapWriter, Message
 
 CHUNK_BYTES = 1 << 18
-FLUSH_MESSAGES = 1000
+
+PUT_ASIDE = 1024
+"""How many messages are put aside before they are handed over; 0.02 s of a run."""
+
+WAITING = 16
+"""How much of what was handed over may wait for the disk; then so does whoever writes."""
+
 _FOREVER = {'sec': 9223372036, 'nsec': 854775807}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Messages of a topic: their stamps (n,), ascending, and their bytes, `rows` (n, width), in CDR."""
+
+    topic: str
+    stamps_ns: NDArray[np.int64]
+    rows: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, topic: str, stamps_ns: NDArray[np.int64], records: np.ndarray) -> Table:
+        """Return the table of a structured array (n,) whose elements are the messages byte by byte."""
+        rows = np.frombuffer(records.tobytes(), np.uint8)
+        return cls(topic, stamps_ns, rows.reshape(len(records), records.dtype.itemsize))
+
+    @classmethod
+    def of_messages(
+        cls, topic: str, stamps_ns: NDArray[np.int64], messages: Sequence[bytes]
+    ) -> Table:
+        """Return the table of messages that are equally long."""
+        content = np.frombuffer(b''.join(messages), np.uint8)
+        return cls(topic, stamps_ns, content.reshape(len(messages), -1))
 
 
 class RecordingWriter:
@@ -56,32 +92,41 @@ class RecordingWriter:
 
     def _begin(self, attachments: Mapping[str, str]) -> None:
         """Open the file and write all that comes before the first message."""
-        self.message_count = 0
-        self._first_ns = 2**63 - 1
-        self._last_ns = 0
         self._topics: dict[str, dict[str, Any]] = {}
         self._channels: dict[str, int] = {}
-        self._counts: dict[str, int] = {}
+        self._aside: list[Message] = []
         with self._told():
             self._file = (self._output.folder / self._file_name).open('xb')
-            self._writer = Writer(
-                self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD
-            )
-            self._writer.start('ros2', 'waferbot')
+            self._writer = McapWriter(self._file, CHUNK_BYTES, 'ros2', 'waferbot')
             for name, text in attachments.items():
                 media_type = 'application/json' if name.endswith('.json') else 'application/yaml'
-                self._writer.add_attachment(0, 0, name, media_type, text.encode())
-            self._file.flush()
-            self._begun_bytes = self._whole_bytes = self._file.tell()
+                self._writer.add_attachment(name, media_type, text.encode())
+            self._writer.flush()
+            self._begun_bytes = self._writer.whole_bytes
             self._write_metadata()
+        self._behind = _Behind()
+
+    @property
+    def message_count(self) -> int:
+        """How many messages have come so far."""
+        self._hand_over()
+        self._behind.wait()
+        return sum(self._writer.counts.values())
+
+    @property
+    def folder(self) -> Path:
+        """Where files that belong to the recording are to be written before it is closed."""
+        return self._output.folder
 
     def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
         qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
         definition = full_text(type_name)
         digest = type_hash(type_name)
-        schema = self._writer.register_schema(type_name, 'ros2msg', definition.encode())
-        self._channels[name] = self._writer.register_channel(
+        self._hand_over()
+        self._behind.wait()
+        schema = self._writer.add_schema(type_name, 'ros2msg', definition.encode())
+        self._channels[name] = self._writer.add_channel(
             name,
             'cdr',
             schema,
@@ -90,7 +135,6 @@ class RecordingWriter:
                 'topic_type_hash': digest,
             },
         )
-        self._counts[name] = 0
         self._topics[name] = {
             'name': name,
             'type': type_name,
@@ -100,25 +144,45 @@ class RecordingWriter:
         }
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Append one message, in CDR, at a sim time; messages of one topic come in order."""
-        count = self._counts[topic]
-        try:
-            self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, count)
-            self._counts[topic] = count + 1
-            self.message_count += 1
-            if self.message_count % FLUSH_MESSAGES == 0:
-                self._file.flush()
-                self._whole_bytes = self._file.tell()
-        except OSError as error:
-            raise self._trouble(error) from error
-        self._first_ns = min(self._first_ns, stamp_ns)
-        self._last_ns = max(self._last_ns, stamp_ns)
+        """
+        Append one message, in CDR, at a sim time; messages of one topic come in order.
+
+        Raises `UserError` if one of those before could not be written.
+        """
+        self._aside.append((self._channels[topic], stamp_ns, data))
+        if len(self._aside) >= PUT_ASIDE:
+            self._hand_over()
+
+    def write_tables(self, tables: Sequence[Table]) -> None:
+        """
+        Append messages of several topics by time, at equal times in the order of the tables.
+
+        Raises as `write` does.
+        """
+        batches = [
+            Batch(self._channels[one.topic], one.stamps_ns, one.rows)
+            for one in tables
+            if len(one.stamps_ns)
+        ]
+        if batches:
+            self._hand_over()
+            with self._told():
+                self._behind.do(lambda: self._writer.add_batches(batches))
+
+    def _hand_over(self) -> None:
+        """Have the messages written that were put aside."""
+        messages, self._aside = self._aside, []
+        if messages:
+            with self._told():
+                self._behind.do(lambda: self._writer.add_messages(messages))
 
     def close(self, summary: Mapping[str, str]) -> None:
         """Write the index, `summary` (what the recorder found at the end) and `metadata.yaml`."""
         if self._file.closed:
             return
+        self._hand_over()
         with self._told():
+            self._behind.finish()
             self._writer.add_metadata('waferbot', dict(summary))
             self._writer.add_metadata(
                 'rosbag2',
@@ -126,7 +190,6 @@ class RecordingWriter:
             )
             self._writer.finish()
             atomic_files.flush_to_disk(self._file)
-            self._whole_bytes = self._file.tell()
             self._file.close()
             self._write_metadata()
 
@@ -149,7 +212,7 @@ class RecordingWriter:
         else:
             mine = False
         self._output.worth_keeping = (
-            self.message_count > 0 and self._whole_bytes > self._begun_bytes
+            any(self._writer.counts.values()) and self._writer.whole_bytes > self._begun_bytes
         )
         self._output.__exit__(kind, error, traceback)
         if mine and error is not None:
@@ -157,10 +220,11 @@ class RecordingWriter:
 
     def _cut_off(self) -> None:
         """Cut the file behind the last whole record that is in it, as the disk is full."""
+        self._behind.end()
         with contextlib.suppress(OSError):
             self._file.close()
         with contextlib.suppress(OSError):
-            os.truncate(self._output.folder / self._file_name, self._whole_bytes)
+            os.truncate(self._output.folder / self._file_name, self._writer.whole_bytes)
 
     @contextlib.contextmanager
     def _told(self) -> Iterator[None]:
@@ -174,18 +238,20 @@ class RecordingWriter:
         return UserError(f'{self.path} cannot be written: {error.strerror or error}')
 
     def _information(self) -> dict[str, Any]:
-        start = self._first_ns if self.message_count else 0
+        counts, last_ns = self._writer.counts, self._writer.last_ns
+        count = sum(counts.values())
+        start_ns = self._writer.first_ns if count else 0
         span = {
-            'starting_time': {'nanoseconds_since_epoch': start},
-            'duration': {'nanoseconds': max(0, self._last_ns - start)},
-            'message_count': self.message_count,
+            'starting_time': {'nanoseconds_since_epoch': start_ns},
+            'duration': {'nanoseconds': max(0, last_ns - start_ns)},
+            'message_count': count,
         }
         return {
             'version': 9,
             'storage_identifier': 'mcap',
             **span,
             'topics_with_message_count': [
-                {'topic_metadata': topic, 'message_count': self._counts[name]}
+                {'topic_metadata': topic, 'message_count': counts.get(self._channels[name], 0)}
                 for name, topic in self._topics.items()
             ],
             'compression_format': '',
@@ -202,6 +268,58 @@ class RecordingWriter:
             {'rosbag2_bagfile_information': self._information()}, sort_keys=False
         )
         atomic_files.write_text(self._output.folder / 'metadata.yaml', text)
+
+
+class _Behind:
+    """
+    Does one thing after another in a thread of its own.
+
+    After one that could not be done nothing more is; its error is raised to whoever asks next.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing to do."""
+        self._trouble: Exception | None = None
+        self._waiting: queue.Queue[Callable[[], None] | None] = queue.Queue(WAITING)
+        self._thread = threading.Thread(target=self._work, name='recording', daemon=True)
+        self._thread.start()
+
+    def do(self, action: Callable[[], None]) -> None:
+        """Have something done; waits while too much is still to do."""
+        self._raise_trouble()
+        self._waiting.put(action)
+
+    def wait(self) -> None:
+        """Wait until all is done."""
+        self._waiting.join()
+
+    def finish(self) -> None:
+        """Wait until all is done, end, and raise what could not be done."""
+        self.end()
+        self._raise_trouble()
+
+    def end(self) -> None:
+        """End behind what is still to do; may be called again."""
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
+
+    def _raise_trouble(self) -> None:
+        if self._trouble is not None:
+            raise self._trouble
+
+    def _work(self) -> None:
+        more = True
+        while more:
+            action = self._waiting.get()
+            more = action is not None
+            try:
+                if action is not None and self._trouble is None:
+                    action()
+            except Exception as error:  # raised to whoever asks next
+                self._trouble = error
+            finally:
+                self._waiting.task_done()
 
 
 def _reason(error: BaseException | None) -> str:

@@ -154,7 +154,7 @@ def run_commanded(
         twin.plant_state = twin.machine.initial_state(
             twin.plant_parameters, _axes_that_read(twin, begin), holding=True
         )
-    twin.commanded = commanded - begin
+    twin.command(commanded - begin, variant.compensation)
     return twin.advance(ticks)
 
 

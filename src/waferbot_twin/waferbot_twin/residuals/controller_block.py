@@ -5,8 +5,8 @@ The controller alone: given measured counts and commanded positions, what is lef
 Residual is the measured current command less the one that the model's servo computes, A. The servo is
 deterministic, so with the true settings it is zero to the last bit; the floor is a fraction of a step
 of its output. That takes the very counts that the servo saw, at every servo tick: an axis of which an
-imported log has others is not looked at. For controllers of other makes see
-`described_controller_block`.
+imported log has others is not looked at. Compensation tables over position and speed are part of the
+controller. For controllers of other makes see `described_controller_block`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
-from waferbot_pmac import servo
+from waferbot_pmac import compensation, servo
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects.places import described_axes
 from waferbot_twin.effects.variant import Variant
@@ -76,10 +76,19 @@ class ControllerBlock:
     def residuals(self, variant: Variant) -> list[Array]:
         """Return measured less computed command of every controlled axis, A."""
         assert self.record.command is not None
+        assert self.record.commanded is not None
         parameters = servo_parameters(variant.pmac, variant.name)
         state = servo.initial_state(parameters)
         computed = np.zeros_like(self.record.command)
-        replay_servo(state, parameters, self._counts, self.record.commanded, computed)
+        # A log does not say which experiment it is of, so tables over time are left out.
+        offsets = compensation.offsets(
+            variant.compensation,
+            '',
+            self.record.commanded,
+            parameters,
+            self.record.timing.servo_hz,
+        )
+        replay_servo(state, parameters, self._counts, self.record.commanded, offsets, computed)
         left = self.record.command - computed
         first = round(self.record.judged_from_s * self.record.timing.servo_hz)
         return [left[first:, place] for place in self._axes]

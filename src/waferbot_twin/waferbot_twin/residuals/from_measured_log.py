@@ -41,6 +41,7 @@ from waferbot_twin.logs.counting import AVERAGE, FLOOR, ROUND, counted, told_by_
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, ZERO_ORDER, MeasuredLog, Signal
+from waferbot_twin.logs.pauses import Clock, with_short_pauses
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
 from waferbot_twin.residuals.record import Array, Record
 
@@ -53,6 +54,9 @@ UNKNOWN_RESOLUTION = 1e-6
 
 COMMANDS = ('drive_command', 'current_command')
 """What comes nearest to the output of a controller."""
+
+USED = ('position', 'motor_position', 'commanded_position', *DRIVES)
+"""Kinds of signals that a record is made of."""
 
 SAME_CYCLE, SAME_RATE = 1e-3, 1e-6
 """Shares of a cycle, and of a rate, that are rounding."""
@@ -363,6 +367,8 @@ def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Recor
     is the logger's, not the motion's. Notes say what skew was found and taken out, what clock the
     commands run by, and what the rate of a log limits. Raises as `record_of_measured_log`.
     """
+    short = [with_short_pauses_of(log, variant) for log in logs]
+    logs = [log for log, _ in short]
     axes_of = [driven_axes(log, variant) for log in logs]
     pairs: dict[tuple[str, str], list[tuple[Signal, Signal]]] = {}
     for log, axes in zip(logs, axes_of, strict=True):
@@ -376,9 +382,26 @@ def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Recor
         )
         for (axis, kind), those in pairs.items()
     }
-    return [
+    records = [
         _aligned(log, axes, variant, alignments) for log, axes in zip(logs, axes_of, strict=True)
     ]
+    return [
+        replace(record, notes=(f'{record.name}: {clock}', *record.notes)) if str(clock) else record
+        for record, (_, clock) in zip(records, short, strict=True)
+    ]
+
+
+def with_short_pauses_of(log: MeasuredLog, variant: Variant) -> tuple[MeasuredLog, Clock]:
+    """
+    Return what a record is made of, without long pauses: signals that tell how the axes were moved.
+
+    Pauses are shortened by whole cycles of the controllers. Raises `UserError` as `driven_axes`.
+    """
+    axes = driven_axes(log, variant)
+    used = [one for one in log.signals if one.axis in axes and one.kind in USED]
+    cycle_s = 1.0 / _timing(log, axes, variant).servo_hz
+    short, clock = with_short_pauses(used, cycle_s)
+    return replace(log, signals=tuple(short)), clock
 
 
 @dataclass(frozen=True)

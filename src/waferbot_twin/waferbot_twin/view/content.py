@@ -24,7 +24,8 @@ from waferbot_plant.urdf import urdf
 from waferbot_twin.models import recorded_model
 from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, TITLES, scaled_unit
 from waferbot_twin.recording.reader import Recording
-from waferbot_twin.response import AxisResponse, axis_responses
+from waferbot_twin.response import AxisResponse
+from waferbot_twin.response_reader import axis_responses
 from waferbot_twin.view.decimation import decimated
 
 PICTURE_S = 1.0 / 200.0
@@ -181,7 +182,7 @@ def _plots(response: AxisResponse) -> list[Plot]:
             response.axis,
             f'following error [{error_unit}]',
             (
-                Curve('following error', ERROR_COLOUR, response.servo_time,
+                Curve('following error', ERROR_COLOUR, response.following_time,
                       error_factor * response.following_error, False),
             ),
         ),

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Inverse dynamics: what the motors must do for a motion of the axes.
+
+With q(t) the positions of the axes, z what follows from them where nothing gives, and B the arms of
+the motors,
+
+    B F = M(z) z'' - h(z, z') + R(z, z') sign(z')
+
+h are springs, dampers, cables, gravity, Coriolis and centrifugal forces and disturbances over position
+and speed, R is sliding friction; where an axis is commanded to stand, friction is left out, as it may
+hold either way. F are the forces (N) or torques (Nm) of the motors, and the current is what the motor
+needs for it where it stands, with ripple and saturation if it has them.
+
+Connections that give are taken as rigid: at most what a flexible machine needs below its first mode.
+Disturbances over time, noise and a vibrating floor are left out, and so is friction that depends on the
+motors' own force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.timing import Timing
+from waferbot_plant import disturbances, friction_laws, motors, plant
+from waferbot_plant.assembly import assemble
+from waferbot_plant.description import Description
+from waferbot_plant.plant import Machine
+
+Floats = NDArray[np.float64]
+
+_OVER_MOTION = tuple(
+    disturbances.KINDS[kind]
+    for kind in (
+        disturbances.CONSTANT, disturbances.PERIODIC, disturbances.POSITION, disturbances.VELOCITY
+    )
+)  # fmt: skip
+
+
+class InverseDynamics:
+    """The forces and currents that motions of a machine need; `axes` are those that have a motor."""
+
+    def __init__(self, description: Description, timing: Timing | None = None) -> None:
+        """Take the machine with every connection rigid; raises `UserError`."""
+        connections = {
+            name: replace(part, flexible=False) for name, part in description.connections.items()
+        }
+        forces = {
+            name: force
+            for name, force in description.disturbances.items()
+            if force.kind in _OVER_MOTION
+        }
+        rigid = replace(description, connections=connections, disturbances=forces)
+        self.machine = Machine(rigid, assemble(rigid), timing or Timing())
+        self.axes = tuple(axis for axis in rigid.axes if axis in rigid.motors)
+        self._parameters = self.machine.parameters()
+        # Bristles slide with the friction of their law, and what was cold is warm.
+        for name in ('friction_bristle_stiffness', 'friction_cold_amplitude'):
+            self._parameters[name] = 0.0
+        self._state = self.machine.initial_state(self._parameters)
+        size = len(self.machine.coordinates)
+        placing = self.machine.assembly.placing
+        self._from_axes = np.zeros((size, len(self.axes)))
+        self._arms = np.zeros((size, len(self.axes)))
+        for column, axis in enumerate(self.axes):
+            row, ratio = placing[rigid.axes[axis]]
+            self._from_axes[row, column] = 1.0 / ratio
+            row, ratio = placing[rigid.motors[axis].coordinate]
+            self._arms[row, column] = ratio
+
+    def forces(self, position: Floats, velocity: Floats, acceleration: Floats) -> Floats:
+        """Return the motors' forces (n, axes), N or Nm, for motions (n, axes) of the axes, SI units."""
+        motion = [
+            np.ascontiguousarray(values @ self._from_axes.T)
+            for values in (position, velocity, acceleration)
+        ]
+        needed = np.zeros(motion[0].shape)
+        _needed(self._state.copy(), self._parameters, motion[0], motion[1], motion[2], needed)
+        found, *_ = np.linalg.lstsq(self._arms, needed.T, rcond=None)
+        return np.ascontiguousarray(found.T)
+
+    def currents(self, position: Floats, velocity: Floats, acceleration: Floats) -> Floats:
+        """
+        Return the current commands (n, axes), A peak of the sine, for motions (n, axes) of the axes.
+
+        NaN where a motor saturates before it makes the force.
+        """
+        forces = self.forces(position, velocity, acceleration)
+        return np.column_stack(
+            [
+                self.current_of(axis, forces[:, column], position[:, column])
+                for column, axis in enumerate(self.axes)
+            ]
+        )
+
+    def current_of(self, axis: str, force: Floats, position: Floats) -> Floats:
+        """Return the current command (n,), A, that makes forces (n,) at positions (n,) of an axis."""
+        motor = self.machine.description.motors[axis]
+        place = AXES.index(axis)
+        if not self._parameters[0]['motor_imperfect'][place]:
+            return np.asarray(force / motors.force_constant(motor))
+        row, ratio = self.machine.assembly.placing[motor.coordinate]
+        per_position = ratio * self._from_axes[row, self.axes.index(axis)] * motor.electrical_gain
+        return np.array(
+            [
+                motors.current_of_force(self._parameters, place, per_position * at, one)
+                for at, one in zip(position, force, strict=True)
+            ]
+        )
+
+
+@compiled
+def _needed(state, parameters, position, velocity, acceleration, needed):
+    """Fill `needed` (n, coordinates), the generalised forces of the motors, for motions of z."""
+    s = state[0]
+    p = parameters[0]
+    size = position.shape[1]
+    plant.find_imperfections(s, p)
+    result = np.zeros(size)
+    for sample in range(position.shape[0]):
+        for row in range(size):
+            s['position'][row] = position[sample, row]
+            s['velocity'][row] = velocity[sample, row]
+        plant.generalised_forces(state, parameters, result)
+        friction_laws.limit_lawful_friction(s, p, position[sample], velocity[sample], p['step'])
+        for row in range(size):
+            force = -result[row]
+            for column in range(row + 1):
+                force += s['mass_matrix'][row, column] * acceleration[sample, column]
+            for column in range(row + 1, size):
+                force += s['mass_matrix'][column, row] * acceleration[sample, column]
+            if velocity[sample, row] > 0.0:
+                force += s['sliding_friction'][row] + s['sliding_tilt'][row]
+            elif velocity[sample, row] < 0.0:
+                force += s['sliding_tilt'][row] - s['sliding_friction'][row]
+            needed[sample, row] = force

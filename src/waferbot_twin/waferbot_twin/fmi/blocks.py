@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Parts of the twin with named inputs and outputs, tick by tick: what an FMU holds.
+
+    plant    voltages                              -> counts, line currents, positions, speeds
+    pmac     commanded positions, counts           -> current commands, following errors
+    copley   current commands, line currents, counts -> voltages
+    twin     commanded positions                   -> counts, currents, positions, speeds, commands
+
+`step` takes the inputs of tick k and goes on to tick k + 1. Outputs of plant and twin are those of the
+tick that was reached: what the encoders and current sensors show there. Those of PMAC and Copley are
+what they put out in tick k, held until they put out something else; the PMAC acts on its servo ticks.
+Values are float64, SI or counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_copley import amplifier
+from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
+from waferbot_plant import plant
+from waferbot_plant.motors import check_windings
+from waferbot_pmac import servo
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import open_terminals
+from waferbot_twin.response import UNITS
+
+KINDS = ('plant', 'twin', 'pmac', 'copley')
+
+Floats = np.ndarray
+
+
+@dataclass(frozen=True)
+class Variable:
+    """An input or output: name, unit ('' for none, 'count'), what it is."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+def _per_axis(name: str, unit: str, meaning: str) -> tuple[Variable, ...]:
+    return tuple(Variable(f'{axis}_{name}', unit, f'{axis}: {meaning}') for axis in AXES)
+
+
+VOLTAGES = tuple(
+    Variable(f'{axis}_voltage_{terminal}', 'V', f'{axis}: terminal {terminal} of the motor')
+    for axis in AXES
+    for terminal in (1, 2, 3)
+)
+OPEN = _per_axis('open', '', '1: the terminals of the motor are open, 0: connected')
+LINES = tuple(
+    Variable(f'{axis}_current_{line}', 'A', f'{axis}: measured current into line {line}')
+    for axis in AXES
+    for line in (1, 2)
+)
+COUNTS = tuple(
+    Variable(f'{name}_counts', 'count', f'encoder {name}, as published') for name in ENCODERS
+)
+POSITIONS = tuple(
+    Variable(f'{axis}_position', UNITS[axis], f'{axis}: where it is') for axis in AXES
+)
+SPEEDS = tuple(
+    Variable(f'{axis}_velocity', f'{UNITS[axis]}/s', f'{axis}: how fast it is') for axis in AXES
+)
+COMMANDED = tuple(
+    Variable(f'{axis}_commanded', UNITS[axis], f'{axis}: commanded position, from where it began')
+    for axis in AXES
+)
+COMMANDS = _per_axis('current_command', 'A', 'current command, peak of the sine')
+ERRORS = _per_axis('following_error', 'count', 'following error')
+
+
+class PlantBlock:
+    """Mechanism, motors, encoders and sensors."""
+
+    inputs = (*VOLTAGES, *OPEN)
+    outputs = (*COUNTS, *LINES, *POSITIONS, *SPEEDS)
+
+    def __init__(self, variant: Variant, timing: Timing) -> None:
+        """Begin at rest, held by the motors' currents; raises `UserError`."""
+        machine = variant.build(timing)
+        check_windings(machine.description)
+        self._machine = machine
+        self._parameters = machine.parameters()
+        self._state = machine.resting_state(self._parameters)
+        self._tick = 0
+        self._counts, self._lines = np.zeros(4, np.int64), np.zeros(6)
+        self._motion = np.zeros((2, 3))
+        self._measure()
+
+    def step(self, inputs: Floats) -> None:
+        """Advance by a tick with the inputs held."""
+        mask = sum(1 << axis for axis in range(3) if inputs[9 + axis] != 0.0)
+        open_terminals(self._state, mask)
+        plant.advance(self._state, self._parameters, np.ascontiguousarray(inputs[:9]))
+        self._tick += 1
+        self._measure()
+        coordinate = plant.runaway(self._state)
+        if coordinate >= 0:
+            raise UserError(self._machine.runaway_message(coordinate, self._tick))
+
+    def _measure(self) -> None:
+        plant.measure(self._state, self._parameters, self._tick, self._counts, self._lines)
+        plant.joint_positions(self._state, self._parameters, self._motion[0], self._motion[1])
+
+    def values(self) -> Floats:
+        """Return the outputs."""
+        return np.concatenate([self._counts, self._lines, *self._motion])
+
+
+class PmacBlock:
+    """The servo of all axes."""
+
+    inputs = (*COMMANDED, *COUNTS)
+    outputs = (*COMMANDS, *ERRORS)
+
+    def __init__(self, variant: Variant, timing: Timing) -> None:
+        """Begin with all loops open; they close at the counts of the first tick."""
+        self._timing = timing
+        self._parameters = servo_parameters(variant.pmac, variant.name)
+        self._state = servo.initial_state(self._parameters)
+        self._start = np.zeros(3)
+        self._current = np.zeros(3)
+        self._tick = 0
+
+    def step(self, inputs: Floats) -> None:
+        """Run a servo cycle if it is time for one."""
+        if self._tick % self._timing.servo_divider == 0:
+            counts = np.rint(inputs[3:]).astype(np.int64)
+            if self._tick == 0:
+                self._start = counts[self._parameters['Ixx03'][0]].astype(float)
+                servo.prime(self._state, self._parameters, counts, self._start)
+            target = self._start + inputs[:3] * self._parameters['counts_per_unit'][0]
+            servo.step(self._state, self._parameters, counts, target, self._current)
+        self._tick += 1
+
+    def values(self) -> Floats:
+        """Return the outputs."""
+        return np.concatenate([self._current, self._state['following_error'][0]])
+
+
+class CopleyBlock:
+    """The amplifiers of all axes."""
+
+    inputs = (*COMMANDS, *LINES, *COUNTS)
+    outputs = (*VOLTAGES, *OPEN)
+
+    def __init__(self, variant: Variant, timing: Timing) -> None:
+        """Begin at rest; raises `UserError`."""
+        self._parameters = amplifier_parameters(variant.copley, timing, variant.name)
+        self._state = amplifier.initial_state(self._parameters)
+        self._voltage = np.zeros(9)
+
+    def step(self, inputs: Floats) -> None:
+        """Run a tick of the current loops."""
+        counts = np.rint(inputs[9:]).astype(np.int64)
+        command, lines = inputs[:3].copy(), inputs[3:9].copy()
+        amplifier.step(self._state, self._parameters, 7, command, lines, counts, self._voltage)
+
+    def values(self) -> Floats:
+        """Return the outputs."""
+        mask = amplifier.open_bridges(self._state)
+        return np.concatenate([self._voltage, [float(mask >> axis & 1) for axis in range(3)]])
+
+
+class TwinBlock:
+    """All three in closed loop."""
+
+    inputs = COMMANDED
+    outputs = (*COUNTS, *LINES, *POSITIONS, *SPEEDS, *COMMANDS)
+
+    def __init__(self, variant: Variant, timing: Timing) -> None:
+        """Begin at rest; raises `UserError`."""
+        self._plant = PlantBlock(variant, timing)
+        self._pmac = PmacBlock(variant, timing)
+        self._copley = CopleyBlock(variant, timing)
+
+    def step(self, inputs: Floats) -> None:
+        """Run a tick: PMAC, Copley, plant."""
+        shown = self._plant.values()
+        self._pmac.step(np.concatenate([inputs, shown[:4]]))
+        command = self._pmac.values()[:3]
+        self._copley.step(np.concatenate([command, shown[4:10], shown[:4]]))
+        self._plant.step(self._copley.values())
+
+    def values(self) -> Floats:
+        """Return the outputs."""
+        return np.concatenate([self._plant.values(), self._pmac.values()[:3]])
+
+
+Block = PlantBlock | PmacBlock | CopleyBlock | TwinBlock
+
+BLOCKS: dict[str, type[PlantBlock] | type[PmacBlock] | type[CopleyBlock] | type[TwinBlock]] = {
+    'plant': PlantBlock,
+    'twin': TwinBlock,
+    'pmac': PmacBlock,
+    'copley': CopleyBlock,
+}

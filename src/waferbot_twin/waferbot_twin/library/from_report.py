@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entries out of the report of `waferbot identify --parameter ...` or of `waferbot diagnose`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.checked_json import NUMBER, TEXT, checked_json
+from waferbot_twin.library.entries import Entry
+
+WORDS = {
+    'gearbox': 'gearbox', 'ferrofluid': 'ferrofluid_seal', 'lip_seal': 'lip_seal',
+    'guide': 'linear_guide', 'payload_bearing': 'linear_guide',
+    'counterweight_bearing': 'linear_guide', 'x_rotate_bearing': 'cross_roller_bearing',
+    'belt': 'belt', 'cable': 'cable', 'shaft': 'shaft',
+}  # fmt: skip
+"""Words in the name of a part, and its type; looked for in this order."""
+
+SECTIONS = {
+    'motors': 'motor', 'rotors': 'motor', 'encoders': 'encoder', 'bodies': 'body',
+    'pmac': 'controller', 'copley': 'controller',
+}  # fmt: skip
+"""Sections of a model all of whose entries are of one type."""
+
+
+_VALUE = {
+    'type': 'object',
+    'required': ['value', 'unit'],
+    'properties': {
+        'value': NUMBER,
+        'unit': TEXT,
+        'low95': {'anyOf': [NUMBER, {'type': 'null'}]},
+        'high95': {'anyOf': [NUMBER, {'type': 'null'}]},
+        'identified': {'type': 'boolean'},
+    },
+}
+_VALUES = {'type': 'object', 'additionalProperties': _VALUE}
+_SCHEMA = {
+    'type': 'object',
+    'anyOf': [{'required': ['parameters']}, {'required': ['causes']}],
+    'properties': {
+        'parameters': _VALUES,
+        'causes': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': ['effect', 'axis', 'parameters'],
+                'properties': {'effect': TEXT, 'axis': TEXT, 'parameters': _VALUES},
+            },
+        },
+    },
+}
+
+
+def part_of(path: str) -> str:
+    """Return the type of part that a path leads to, 'other' if its name does not say."""
+    section, *rest = path.split('.')
+    if section in SECTIONS:
+        return SECTIONS[section]
+    name = rest[0] if rest else ''
+    return next((part for word, part in WORDS.items() if word in name), 'other')
+
+
+def parameter_of(path: str) -> str:
+    """Return the name of the parameter: the last word of its path."""
+    return path.rsplit('.', 1)[-1]
+
+
+def read_entries(
+    report: Path, machine: str, date: str, conditions: dict[str, Any]
+) -> tuple[Entry, ...]:
+    """
+    Return what an identification or a diagnosis found, without what it left open.
+
+    `report` is its folder or its `report.json`. Raises `UserError` for anything else.
+    """
+    file = report / 'report.json' if report.is_dir() else report
+    try:
+        text = file.read_text('utf-8')
+    except (OSError, ValueError) as error:
+        raise UserError(f'{file} cannot be read: {error}') from error
+    data = checked_json(text, _SCHEMA, str(file))
+    common: dict[str, Any] = {'machine': machine, 'date': date, 'conditions': dict(conditions)}
+    found = [
+        Entry(
+            part_of(path), parameter_of(path), float(one['value']), one['unit'],
+            path=path, origin=f'identify: {report}', **_interval(one), **common,
+        )
+        for path, one in data.get('parameters', {}).items()
+        if one.get('identified', True)
+    ]  # fmt: skip
+    for cause in data.get('causes', []):
+        name = f'{cause["effect"]}.{cause["axis"]}'
+        found += [
+            Entry(
+                part_of(f'effects.{cause["effect"]}'), f'{cause["effect"]}.{parameter}',
+                float(one['value']), one['unit'], path=f'{name}.{parameter}',
+                origin=f'diagnose: {report}', **_interval(one), **common,
+            )
+            for parameter, one in cause['parameters'].items()
+        ]  # fmt: skip
+    if not found:
+        raise UserError(f'{file}: nothing was identified in it')
+    return tuple(found)
+
+
+def _interval(one: dict[str, Any]) -> dict[str, Any]:
+    """Return the interval of a parameter; nothing if it has none."""
+    low, high = one.get('low95'), one.get('high95')
+    if low is None or high is None:
+        return {}
+    return {'low': float(low), 'high': float(high)}

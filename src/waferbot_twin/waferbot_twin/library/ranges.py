@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is known of a parameter of a type of part: its range over machines and time, and a prior from it.
+
+The range goes from the lowest to the highest end of an interval, or value where there is none. A prior
+is the range, stretched by `STRETCH` of its width (of the value, where there is one value alone) to each
+side: the next machine may lie a little outside of what was seen.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use('Agg')
+
+import matplotlib.pyplot as plt
+import pandas as pd
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.html_page import save_drawing
+from waferbot_twin.identification.named_parameters import NamedParameter
+from waferbot_twin.library.entries import Entry
+from waferbot_twin.library.from_report import parameter_of, part_of
+
+STRETCH = 0.5
+
+
+def ends_of(entry: Entry) -> tuple[float, float]:
+    """Return the interval of an entry, its value twice if it has none."""
+    low = entry.value if math.isnan(entry.low) else entry.low
+    high = entry.value if math.isnan(entry.high) else entry.high
+    return min(low, entry.value), max(high, entry.value)
+
+
+def table(entries: Sequence[Entry]) -> pd.DataFrame:
+    """
+    Return a row for each part and parameter: `low`, `median`, `high`, `unit`, `entries`, `machines`.
+
+    In the order in which they came first.
+    """
+    groups: dict[tuple[str, str], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault((entry.part, entry.parameter), []).append(entry)
+    rows = []
+    for (part, parameter), group in groups.items():
+        ends = [ends_of(entry) for entry in group]
+        rows.append(
+            {
+                'part': part,
+                'parameter': parameter,
+                'low': min(low for low, _ in ends),
+                'median': float(pd.Series([entry.value for entry in group]).median()),
+                'high': max(high for _, high in ends),
+                'unit': group[0].unit,
+                'entries': len(group),
+                'machines': len({entry.machine for entry in group}),
+            }
+        )
+    columns = ['part', 'parameter', 'low', 'median', 'high', 'unit', 'entries', 'machines']
+    return pd.DataFrame(rows, columns=columns)
+
+
+def prior(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, float] | None:
+    """
+    Return the range in which a parameter of a model is to be expected; None if nothing is known.
+
+    Entries of the same path count alone if there are some, else those of the same part, parameter and
+    unit. The model's value is in the range, and the parameter's own bounds hold.
+    """
+    own = [entry for entry in entries if entry.path == parameter.path]
+    known = own or [
+        entry
+        for entry in entries
+        if entry.part == part_of(parameter.path)
+        and entry.parameter == parameter_of(parameter.path)
+        and entry.unit == parameter.unit
+    ]
+    if not known:
+        return None
+    low = min(ends_of(entry)[0] for entry in known)
+    high = max(ends_of(entry)[1] for entry in known)
+    reach = STRETCH * ((high - low) or abs(high))
+    low, high = (low - reach if low <= reach else low / (1.0 + STRETCH)), high + reach
+    low, high = min(low, parameter.start), max(high, parameter.start)
+    return max(low, parameter.low), min(high, parameter.high)
+
+
+def draw(entries: Sequence[Entry], file: Path) -> None:
+    """Draw every entry with its interval, in a panel for each parameter; raises `UserError` if none."""
+    if not entries:
+        raise UserError('there is nothing to draw')
+    names = list(dict.fromkeys((entry.part, entry.parameter) for entry in entries))
+    figure, panels = plt.subplots(
+        len(names), 1, figsize=(8.0, 0.9 * len(names) + 0.42 * len(entries)), squeeze=False,
+        height_ratios=[
+            1.0 + sum((entry.part, entry.parameter) == name for entry in entries)
+            for name in names
+        ],
+    )  # fmt: skip
+    for panel, name in zip(panels[:, 0], names, strict=True):
+        group = [entry for entry in entries if (entry.part, entry.parameter) == name]
+        for place, entry in enumerate(group):
+            low, high = ends_of(entry)
+            panel.plot([low, high], [place, place], color='#1f5fa8', lw=2.0)
+            panel.plot([entry.value], [place], 'o', color='#1f5fa8')
+        labels = [f'{entry.machine} {entry.date}'.strip() for entry in group]
+        panel.set_yticks(range(len(group)), labels, fontsize=8)
+        panel.set_ylim(len(group) - 0.5, -0.5)
+        panel.set_xlim(left=min(0.0, *(ends_of(entry)[0] for entry in group)))
+        unit = f' [{group[0].unit}]' if group[0].unit else ''
+        panel.set_title(f'{name[0]}: {name[1]}{unit}', fontsize=9)
+        panel.grid(alpha=0.3, axis='x')
+    figure.tight_layout()
+    save_drawing(figure, file)

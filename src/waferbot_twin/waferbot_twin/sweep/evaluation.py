@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One point of a sweep: the model there, run, and the measures of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification.named_parameters import at_path
+from waferbot_twin.sweep.variation import overlaid
+from waferbot_twin.tuning.runs import behave
+
+FIGURES = (
+    'settling_time', 'overshoot_percent', 'rms_following_error', 'peak_following_error',
+    'rms_current_a', 'peak_current_a',
+)  # fmt: skip
+"""What can be measured of an axis."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is run at every point: a model, the paths that vary, an experiment, the measures."""
+
+    variant: Variant
+    paths: tuple[str, ...]
+    experiment: str
+    measures: tuple[str, ...]
+
+
+def check_measures(texts: Sequence[str], variant: Variant) -> tuple[str, ...]:
+    """Return measures, `FIGURE.AXIS`; raises `UserError` for what is none."""
+    axes = tuple(variant.description.axes)
+    for text in texts:
+        figure, _, axis = text.partition('.')
+        if figure not in FIGURES:
+            raise UserError(
+                f'--measure {text}: no figure {figure!r}{did_you_mean(figure, FIGURES)} '
+                f'(there are: {", ".join(FIGURES)})'
+            )
+        if axis not in axes:
+            raise UserError(
+                f'--measure {text}: give FIGURE.AXIS, with an axis of {", ".join(axes)}'
+                f'{did_you_mean(axis, axes)}'
+            )
+    return tuple(dict.fromkeys(texts))
+
+
+def evaluate(task: Task, point: np.ndarray) -> tuple[list[float], str]:
+    """
+    Return the measures at a point, and '' or why there are none.
+
+    Infinite: a step that does not settle, a run that blew up. NaN: a machine that cannot be.
+    """
+    try:
+        parameters = [at_path(path, task.variant) for path in task.paths]
+        variant = overlaid(task.variant, parameters, point)
+        found = behave(variant, load_experiment(task.experiment), Timing())
+    except UserError as error:
+        return [math.nan] * len(task.measures), str(error)
+    values = []
+    for measure in task.measures:
+        figure, _, axis = measure.partition('.')
+        values.append(float(getattr(found[axis], figure)))
+    alive = all(one.alive for one in found.values())
+    return values, '' if alive else 'the run blew up, or a motor was killed'

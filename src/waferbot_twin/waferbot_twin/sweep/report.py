@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A sweep as a table, JSON and a picture: parallel coordinates, and sensitivities if there are any."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use('Agg')
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+
+from waferbot_twin.html_page import save_picture
+from waferbot_twin.plain_values import finite
+from waferbot_twin.recording.writer import as_json
+from waferbot_twin.sweep.sweep import ERROR
+
+FILES = ('sweep.parquet', 'sweep.png', 'sweep.json')
+
+
+def summary(
+    table: pd.DataFrame, measures: Sequence[str], sensitivity: pd.DataFrame | None
+) -> dict[str, Any]:
+    """Return as plain values: range and best point of every measure, failures, sensitivities."""
+    paths = [name for name in table.columns if name not in (*measures, ERROR)]
+    result: dict[str, Any] = {
+        'schema': 1,
+        'points': len(table),
+        'failed': int((table[ERROR] != '').sum()),
+        'measures': {},
+        'sensitivities': None if sensitivity is None else sensitivity.to_dict('records'),
+    }
+    for measure in measures:
+        values = table[measure][np.isfinite(table[measure])]
+        if values.empty:
+            result['measures'][measure] = None
+            continue
+        best = values.idxmin()
+        result['measures'][measure] = {
+            'least': float(values.min()),
+            'median': float(values.median()),
+            'largest': float(values.max()),
+            'numbers': len(values),
+            'least_at': {path: float(table.loc[best, path]) for path in paths},
+        }
+    return dict(finite(result))
+
+
+def write(
+    table: pd.DataFrame, measures: Sequence[str], sensitivity: pd.DataFrame | None, folder: Path
+) -> None:
+    """Write table, picture and summary into a folder."""
+    table.to_parquet(folder / FILES[0])
+    draw(table, measures, sensitivity, folder / FILES[1])
+    result = summary(table, measures, sensitivity)
+    (folder / FILES[2]).write_text(as_json(result) + '\n', 'utf-8')
+
+
+def draw(
+    table: pd.DataFrame, measures: Sequence[str], sensitivity: pd.DataFrame | None, file: Path
+) -> None:
+    """Draw every point as a line over its parameters and measures, coloured by the first measure."""
+    names = [name for name in table.columns if name != ERROR]
+    shown = table[names].replace([np.inf, -np.inf], np.nan).dropna()
+    count = 1 if sensitivity is None else 2
+    figure, panels = plt.subplots(
+        count, 1, figsize=(max(7.0, 1.9 * len(names)), 4.2 * count), squeeze=False
+    )
+    panel = panels[0, 0]
+    if not shown.empty:
+        low, high = shown.min(), shown.max()
+        scaled = (shown - low) / (high - low).replace(0.0, 1.0)
+        colours = plt.get_cmap('viridis')(scaled[measures[0]])
+        for row, colour in zip(scaled.to_numpy(), colours, strict=True):
+            panel.plot(range(len(names)), row, color=colour, lw=0.8, alpha=0.7)
+        for place, name in enumerate(names):
+            panel.axvline(place, color='black', lw=0.6)
+            panel.text(place, -0.04, f'{low[name]:.4g}', ha='center', va='top', fontsize=8)
+            panel.text(place, 1.04, f'{high[name]:.4g}', ha='center', va='bottom', fontsize=8)
+    panel.set_xticks(range(len(names)), [name.replace('.', '.\n') for name in names], fontsize=8)
+    panel.tick_params(axis='x', pad=14)
+    panel.set_yticks([])
+    panel.set_ylim(-0.02, 1.02)
+    panel.set_title(f'{len(shown)} of {len(table)} points; colour: {measures[0]}', pad=18)
+    if sensitivity is not None:
+        _draw_sensitivity(panels[1, 0], sensitivity)
+    figure.tight_layout()
+    save_picture(figure, file)
+
+
+def _draw_sensitivity(panel: Any, sensitivity: pd.DataFrame) -> None:
+    labels = sensitivity['parameter'] + '\n' + sensitivity['measure']
+    place = np.arange(len(labels))
+    for shift, name in ((-0.2, 'first'), (0.2, 'total')):
+        panel.barh(
+            place + shift, sensitivity[name], 0.38, xerr=sensitivity[f'{name}_95'], label=name
+        )
+    panel.set_yticks(place, labels, fontsize=8)
+    panel.invert_yaxis()
+    panel.set_xlabel('share of the variance')
+    panel.legend(fontsize=8)
+    panel.grid(alpha=0.3, axis='x')
