@@ -21,9 +21,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     unit = sensors.unit(variant, encoder)
     every = _spacings(variant, axis)[0]
     return (
-        Parameter(
-            'counts', 'counts', 0.0, 20.0, -1e5, 1e5, 'lost at a mark, whole ones', resolution=1.0
-        ),
+        Parameter('counts', 'counts', 0.0, 20.0, -1e5, 1e5, 'lost at a mark', resolution=1.0),
         Parameter(
             'every',
             unit,
