@@ -102,10 +102,13 @@ def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path
     wait_until_gone(nodes.values())
     assert program.wait(30) == 1
     peer, topic = MISSED[victim]
+    # Who misses something first depends on the load: the error says who was killed, and what was missed;
+    # the node next to the killed one says what of it never came.
     assert re.search(
-        rf'waferbot: error: .*{peer} is gone: topic {topic}.* tick \d+ never came', program.output
+        rf'waferbot: error: {victim} was killed by signal 9; .* is gone: topic .* tick \d+ never came',
+        program.output,
     ), program.output
-    assert f'{victim} was killed by signal 9' in program.output
+    assert re.search(rf'{peer} is gone: topic {topic}.* tick \d+ never came', program.output)
     recording = check_readable(out)
     assert recording.closed
     assert recording.summary['complete'] == 'false'

@@ -7,7 +7,7 @@ import pytest
 from fuzzing.categories import CATEGORIES, tracebacks
 
 SEED = 20261125
-COUNT = 200
+COUNT = 300
 
 pytestmark = pytest.mark.slow
 
