@@ -18,6 +18,9 @@ PATIENCE_S = 120.0
 """Wall time after which a test gives up; compiling the model for the first time is part of it."""
 
 
+ASK_AGAIN_S = 5.0
+"""Wall time after which a client sends its request again."""
+
 LONG_PATIENCE_S = 280.0
 """The same for a command that works for long, as a diagnosis does."""
 
@@ -209,14 +212,47 @@ class Client:
                 pytest.fail(f'not within {timeout_s} s: {what}')
             self.executor.spin_once(timeout_sec=0.05)
 
+    def answer(self, ask: Callable[[], Any], what: str) -> Any:
+        """
+        Ask until there is an answer, and return it.
+
+        A client sees a server before the server has discovered who is to have the answer, and then
+        the answer is lost (rmw_fastrtps: "client will not receive response").
+        """
+        futures: list[Any] = []
+        begun_s = time.monotonic()
+
+        def answered() -> bool:
+            if time.monotonic() >= begun_s + ASK_AGAIN_S * len(futures):
+                futures.append(ask())
+            return any(future.done() for future in futures)
+
+        self.spin_until(answered, what)
+        return next(future.result() for future in futures if future.done())
+
+    def run_experiment(self, actions: Any, experiment: str, feedback: Any = None) -> Any:
+        """Have an experiment run by the action, and return the handle of its accepted goal."""
+        from waferbot_msgs.action import RunExperiment
+
+        self.spin_until(actions.server_is_ready, 'action server')
+        goal = RunExperiment.Goal(experiment=experiment)
+        return self.answer(
+            lambda: actions.send_goal_async(goal, feedback_callback=feedback),
+            f'answer to the goal {experiment[:40]}',
+        )
+
+    def result_of(self, handle: Any) -> Any:
+        """Wait for the result of an accepted goal."""
+        assert handle.accepted
+        return self.answer(handle.get_result_async, 'result')
+
     def call(self, service_type: Any, name: str, request: Any) -> Any:
         """Call a service and return its response."""
         client = self.node.create_client(service_type, name)
         self.spin_until(client.service_is_ready, f'service {name}')
-        future = client.call_async(request)
-        self.spin_until(future.done, f'response of {name}')
+        response = self.answer(lambda: client.call_async(request), f'response of {name}')
         self.node.destroy_client(client)
-        return future.result()
+        return response
 
     def end(self) -> None:
         self.executor.shutdown()

@@ -94,15 +94,9 @@ def set_parameter(twin, node, name, value):
 
 def run_experiment(twin, experiment, feedback=None):
     client = ActionClient(twin.node, RunExperiment, 'run_experiment')
-    twin.spin_until(client.server_is_ready, 'action server')
-    goal = RunExperiment.Goal(experiment=experiment)
-    sent = client.send_goal_async(goal, feedback_callback=feedback)
-    twin.spin_until(sent.done, 'answer to the goal')
-    assert sent.result().accepted
-    result = sent.result().get_result_async()
-    twin.spin_until(result.done, 'result')
+    result = twin.result_of(twin.run_experiment(client, experiment, feedback))
     client.destroy()
-    return result.result()
+    return result
 
 
 def test_nodes_are_there(twin):
@@ -223,18 +217,12 @@ def test_the_action_is_refused_while_another_experiment_runs_and_accepted_after_
     """The PMAC begins with the experiment of its parameter: 0.5 s of standing still."""
     kind = waferbot_msgs.msg.ServoState
     listen(twin, '/servo_state', kind, until=lambda state: state.tick > 9000)
-    first = ActionClient(twin.node, RunExperiment, 'run_experiment')
-    twin.spin_until(first.server_is_ready, 'action server')
-    sent = first.send_goal_async(RunExperiment.Goal(experiment=SHORT_STEP))
-    twin.spin_until(sent.done, 'answer to the first goal')
-    second = first.send_goal_async(RunExperiment.Goal(experiment=SHORT_STEP))
-    twin.spin_until(second.done, 'answer to the second goal')
-    assert sent.result().accepted
-    assert not second.result().accepted
-    result = sent.result().get_result_async()
-    twin.spin_until(result.done, 'result')
-    assert result.result().result.success
-    first.destroy()
+    actions = ActionClient(twin.node, RunExperiment, 'run_experiment')
+    first = twin.run_experiment(actions, SHORT_STEP)
+    assert first.accepted
+    assert not twin.run_experiment(actions, SHORT_STEP).accepted
+    assert twin.result_of(first).result.success
+    actions.destroy()
 
 
 def test_the_action_runs_an_experiment(twin):

@@ -98,12 +98,7 @@ def test_the_action_fails_and_diagnostics_and_log_say_why(start, connect, domain
     client.node.create_subscription(DiagnosticArray, '/diagnostics', on_diagnostics, 10)
     actions = ActionClient(client.node, RunExperiment, 'run_experiment')
     for _ in range(2):  # the second finds it killed
-        client.spin_until(actions.server_is_ready, 'action server')
-        sent = actions.send_goal_async(RunExperiment.Goal(experiment='step'))
-        client.spin_until(sent.done, 'answer to the goal')
-        result = sent.result().get_result_async()
-        client.spin_until(result.done, 'result')
-        answer = result.result().result
+        answer = client.result_of(client.run_experiment(actions, 'step')).result
         assert not answer.success
         assert answer.message.startswith(KILLED)
         assert CAUSE in answer.message

@@ -47,9 +47,9 @@ class Members:
         """Return what went wrong with one of the nodes, or ''."""
         raise NotImplementedError
 
-    def killed(self) -> str:
-        """Return which nodes were killed from outside, or ''."""
-        return ''
+    def killed(self) -> dict[str, int]:
+        """Return the nodes that were killed from outside, and by which signal."""
+        return {}
 
     def state(self) -> str:
         """Return where each node stands, for messages."""
@@ -111,13 +111,13 @@ class SeparateProcesses(Members):
                 return self.killed() or f'{name} ended with exit code {process.poll()}'
         return ''
 
-    def killed(self) -> str:
-        """Return which nodes were killed from outside, or ''."""
-        return ', '.join(
-            f'{name} was killed by signal {-code}'
+    def killed(self) -> dict[str, int]:
+        """Return the nodes that were killed from outside, and by which signal."""
+        return {
+            name: -code
             for name, process in self._processes.items()
             if (code := process.poll()) is not None and code < 0
-        )
+        }
 
     def state(self) -> str:
         """Return where each node stands, for messages."""
@@ -224,9 +224,9 @@ class Together(Members):
         """Return what went wrong with one of the nodes, or ''."""
         return next((failure for part in self._parts if (failure := part.failure())), '')
 
-    def killed(self) -> str:
-        """Return which nodes were killed from outside, or ''."""
-        return ', '.join(killed for part in self._parts if (killed := part.killed()))
+    def killed(self) -> dict[str, int]:
+        """Return the nodes that were killed from outside, and by which signal."""
+        return {name: code for part in self._parts for name, code in part.killed().items()}
 
     def state(self) -> str:
         """Return where each node stands, for messages."""

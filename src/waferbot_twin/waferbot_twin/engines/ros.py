@@ -53,6 +53,9 @@ from waferbot_twin.recording.completeness import close_complete, reported
 from waferbot_twin.recording.recorder import Recorder
 from waferbot_twin.recording.writer import RecordingWriter
 
+ASK_AGAIN_S = 1.0
+"""Wall time after which the plant is asked again to go on."""
+
 LAST_WORDS_S = 1.0
 """Wall time for the reason of a stop to arrive once every node has ended."""
 
@@ -197,8 +200,17 @@ class _Conductor:
             return  # somebody else's plant goes when it likes
         if not self._release.service_is_ready():
             self._spin_until(self._release.service_is_ready, self._startup_timeout_s, 'start')
-        future = self._release.call_async(SetBool.Request(data=False))
-        self._spin_until(future.done, END_TIMEOUT_S, 'start')
+        request = SetBool.Request(data=False)
+        sent = [self._release.call_async(request)]
+
+        def answered() -> bool:
+            # An answer is lost if the plant has not yet discovered who is to have it: ask again.
+            if time.monotonic() > asked_s + ASK_AGAIN_S * len(sent):
+                sent.append(self._release.call_async(request))
+            return any(future.done() for future in sent)
+
+        asked_s = time.monotonic()
+        self._spin_until(answered, self._startup_timeout_s, 'start')
 
     def _spin_until(self, done: Callable[[], bool], timeout_s: float | None, phase: str) -> None:
         deadline_s = time.monotonic() + timeout_s if timeout_s else None
@@ -241,9 +253,13 @@ class _Conductor:
                 raise UserError(self._reason(what))
 
     def _reason(self, otherwise: str) -> str:
-        """Return why the twin ends: who was killed, and what the others say."""
-        reasons = [self._members.killed(), self._recorder.stop_reason]
-        return '; '.join(reason for reason in reasons if reason) or otherwise
+        """Return why the twin ends: who was killed, what of it never came, what the others say."""
+        account = self._recorder.account
+        killed = [
+            f'{name} was killed by signal {code}: {account.ended(name)}'
+            for name, code in self._members.killed().items()
+        ]
+        return '; '.join(filter(None, [*killed, self._recorder.stop_reason])) or otherwise
 
     def _state(self) -> str:
         """Return who has not been heard yet, and where each node stands."""

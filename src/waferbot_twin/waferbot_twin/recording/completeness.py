@@ -147,6 +147,22 @@ class Account:
                 )
         return found
 
+    def ended(self, node: str) -> str:
+        """
+        Return which message of a node, that has ended, is the first that never came.
+
+        A node publishes whole topics, or, named `<publisher>_<place>`, one place of them.
+        """
+        first: dict[tuple[str, str], int] = {}
+        for topic, own in self.topics.items():
+            for place, tick in zip(own.needed_places(), own.reached(), strict=True):
+                if node in (topic.publisher, f'{topic.publisher}_{topic.places[place]}'):
+                    first[topic.name, topic.places[place]] = tick
+        if not first:
+            return 'none of its messages is recorded'
+        (topic_name, place_name), tick = min(first.items(), key=lambda item: item[1])
+        return f'topic {topic_name} ({place_name}), tick {tick} never came'
+
     def expected(self, ticks: int) -> int:
         """Return how many places of messages a complete run of `ticks` ticks has."""
         return sum(
