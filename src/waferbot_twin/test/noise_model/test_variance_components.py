@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from waferbot_twin.noise_model.motion_basis import motion_basis, without_motion
+from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.variance_components import (
     COLOURED_HZ,
     Shapes,
-    averaged_periodogram,
+    bands,
+    powers_left,
     prediction_filter,
     variances,
 )
@@ -49,15 +50,13 @@ def test_every_shape_has_a_mean_of_one_over_the_band():
     assert each.mean(axis=1) == pytest.approx(np.ones(len(each)), rel=0.05)
 
 
-def test_an_averaged_periodogram_of_white_noise_is_its_variance_everywhere():
-    print(f'seed {SEED}')
-    white = np.random.default_rng(SEED).normal(3.0, 2.0, 45000)
-    frequency_hz, power, lines = averaged_periodogram(white, RATE_HZ, np.zeros((len(white), 0)))
-    assert lines.sum() == 22500
-    assert np.all(np.diff(frequency_hz) > 0.0)
-    assert frequency_hz[-1] < 0.5 * RATE_HZ
-    # An average of n exponential lines scatters by 1 / sqrt(n); five of these for the worst band.
-    assert np.all(np.abs(power / 4.0 - 1.0) < 5.0 / np.sqrt(lines))
+def test_every_line_is_in_a_band_and_bands_grow():
+    band = bands(22500)
+    sizes = np.bincount(band)
+    assert sizes.sum() == 22500
+    assert np.all(np.diff(band) >= 0)
+    assert sizes[0] == 1
+    assert sizes[-2] > sizes[-20] > 1
 
 
 @pytest.mark.parametrize(
@@ -89,24 +88,50 @@ def test_the_spectrum_that_is_found_is_that_of_the_noise(parts):
     assert np.all(off < 4.0 * error + share * (true @ grid))
 
 
-def test_what_the_motion_takes_from_white_noise_is_not_missed_in_its_power():
+@pytest.mark.parametrize('parts', [{'white': 1.0}, {'reading': 1.0, 'white': 0.001}])
+def test_what_the_motion_takes_from_noise_is_not_missed_in_its_power(parts):
     """Eleven slow columns in a second: most of what is below 10 Hz is in their span."""
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)
-    count = 2250
+    count, weights = 2250, weights_of(**parts)
     time_s = np.arange(count) / RATE_HZ
     slow = np.column_stack([np.cos(np.pi * order * time_s) for order in range(11)])
-    basis, _ = np.linalg.qr(slow)
-    found = [
-        averaged_periodogram(without_motion(random.normal(size=count), basis), RATE_HZ, basis)
-        for _ in range(400)
-    ]
-    frequency_hz, _, lines = found[0]
-    power = np.mean([one[1] for one in found], axis=0)
-    error = 1.0 / np.sqrt(len(found) * np.maximum(lines, 0.1))
-    assert frequency_hz[0] < 2.0
-    assert lines[0] < 0.5
-    assert np.all(np.abs(power - 1.0) < 6.0 * error)
+    motion = shapes(np.linalg.qr(slow)[0]).motion_lines(count)
+    true = weights @ shapes().on_lines(count)
+    powers = []
+    for _ in range(400):
+        lines = np.fft.rfft(noise_of(random, weights, count))[1:] / np.sqrt(count)
+        power, kept = powers_left(lines, motion, true)
+        powers.append(power)
+    band = bands(len(true))
+    kept = np.bincount(band, kept)
+    share = np.bincount(band, np.mean(powers, axis=0) / true) / kept
+    assert kept[0] < 0.5
+    assert np.all(np.abs(share - 1.0) < 6.0 / np.sqrt(len(powers) * np.maximum(kept, 0.1)))
+
+
+def test_strong_noise_of_readings_hides_no_weak_noise_where_the_axis_moves():
+    """A column of the motion that has high frequencies, too: unweighted it follows the readings."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    count, weights = 4500, weights_of(reading=1.0, white=1e-4)
+    time_s = np.arange(count) / RATE_HZ
+    rough = random.normal(size=(count, 3)).cumsum(axis=0)
+    columns = np.column_stack(
+        [np.cos(2.0 * np.pi * time_s), rough / np.linalg.norm(rough, axis=0)]
+    )
+    basis, _ = np.linalg.qr(columns)
+    frequency_hz = np.geomspace(1.0, 10.0, 10)
+    grid = shapes().at(frequency_hz)
+    found = np.mean(
+        [
+            variances(noise_of(random, weights, count) + 5.0 * basis[:, 0], shapes(basis)) @ grid
+            for _ in range(20)
+        ],
+        axis=0,
+    )
+    assert np.all(found < 2.0 * weights @ grid)
+    assert np.all(found > 0.5 * weights @ grid)
 
 
 def test_of_noise_of_readings_alone_the_variance_is_theirs():
@@ -141,7 +166,7 @@ def test_what_goes_with_the_motion_is_not_taken_for_noise():
     position = 1e4 * np.sin(2.0 * np.pi * 1.5 * time_s)
     noise = noise_of(random, weights_of(white=1.0, reading=1.0))
     wrong = noise + 30.0 * np.sign(np.cos(2.0 * np.pi * 1.5 * time_s))
-    basis = motion_basis(position, RATE_HZ)
+    basis = motion_basis(position)
     alone = prediction_filter(noise, 24, shapes(basis))
     with_it, taken_for_noise = (
         prediction_filter(wrong, 24, one) for one in (shapes(basis), shapes())

@@ -104,6 +104,18 @@ def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, rati
     assert bool(found.withdrawn) != kept
 
 
+def test_an_error_of_a_part_of_a_step_of_the_reading_is_none():
+    error = np.sin(np.linspace(0.0, 100.0, 2000))
+    small, large = (
+        AxisGain(
+            'log', 'y_linear', 'm', error, error, size * error, 3.0 * size * error, True, 1e-6
+        )
+        for size in (1e-8, 1e-4)
+    )
+    assert small.mean_square_ratio == pytest.approx(1.0, abs=0.01)
+    assert large.mean_square_ratio == pytest.approx(9.0, rel=0.01)
+
+
 def test_what_the_validation_data_refute_is_withdrawn_and_what_they_do_not_show_is_kept(nominal):
     """A wrong bias of the controller is seen to the last bit; nobody moves the third axis."""
     bias = Cause(find('wrong_bias'), 'x_rotate', {'difference': 200.0})

@@ -18,10 +18,9 @@ the reading through (f / f_o)^2 / D(f), D(f) = |1 - (f / f_o)^2 + 2 i z f / f_o|
     noise of the innovation itself      B = 1
     force, white up to a corner f_c     B = 1 / (D^2 (1 + (f / f_c)^2)),    f_c = 1, 3, 10, 30 Hz, none
 
-And the spectrum is that of the residual without what goes with the motion
-(`motion_basis`). Values are estimated with white forces alone, so that every force weighs the same,
-as in inverse dynamics; colour is only allowed where models are compared, as it tells small causes
-from noise.
+And the spectrum is that of the residual without what goes with the motion (`motion_basis`). Values
+are estimated with white forces alone, so that every force weighs the same, as in inverse dynamics;
+colour is only allowed where models are compared, as it tells small causes from noise.
 On the EMPS axis the Coulomb friction is 20.1 N with white forces, 19.1 N with coloured ones, 20.5 N by
 least squares, and 14.2 N if the spectrum is that of all that is left over.
 
@@ -35,6 +34,7 @@ compared and in intervals (`residual_spectrum.power_along`, `covariance`).
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,7 +44,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_toeplitz
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_twin.noise_model.motion_basis import without_motion
 
 Array = NDArray[np.float64]
 
@@ -52,8 +51,11 @@ WHITE_HZ = (np.inf,)
 COLOURED_HZ = (1.0, 3.0, 10.0, 30.0, np.inf)
 """Corners of forces: for values, and for evidence."""
 
-STEPS = 300
-"""Multiplicative steps; far below the observer the spectrum may still be some tenths low after them."""
+ROUNDS, STEPS = 4, 75
+"""
+Fits of the motion, and multiplicative steps after each; far below the observer the spectrum may still be
+some tenths low after them.
+"""
 
 BANDS_PER_OCTAVE = 6
 GRID = 8192
@@ -61,6 +63,9 @@ GRID = 8192
 
 LEAST_LINES = 0.01
 """Of a band, so that rounding is no power where the motion takes it all."""
+
+SMALLEST = 1e-7
+"""Singular value, over the largest, of a direction that columns of the motion still have."""
 
 RIDGE = 1e-9
 """Share of the variance that is added as white noise, so that every spectrum has a filter."""
@@ -95,6 +100,27 @@ class Shapes:
         grid_hz = np.linspace(0.0, 0.5 * self.rate_hz, GRID + 1)
         return np.asarray(self._at(grid_hz).mean(axis=1, keepdims=True))
 
+    def on_lines(self, count: int) -> Array:
+        """Every B_k on the lines, but that at zero, of the transform of `count` samples."""
+        if count not in self._on_lines:
+            self._on_lines[count] = self.at(np.fft.rfftfreq(count, 1.0 / self.rate_hz)[1:])
+        return self._on_lines[count]
+
+    @cached_property
+    def _on_lines(self) -> dict[int, Array]:
+        return {}
+
+    def motion_lines(self, count: int) -> Array:
+        """The motion on those lines, (L, m); m is 0 if a residual has other samples than the motion."""
+        if count != len(self.motion):
+            return np.zeros((count // 2, 0))
+        return self._motion_lines
+
+    @cached_property
+    def _motion_lines(self) -> Array:
+        centred = self.motion - self.motion.mean(axis=0)
+        return np.asarray(np.fft.rfft(centred, axis=0)[1:] / math.sqrt(len(centred)))
+
     def _at(self, frequency_hz: Array) -> Array:
         x = frequency_hz / self.observer_hz
         force = 1.0 / ((1.0 - x**2) ** 2 + (2.0 * self.damping * x) ** 2)
@@ -103,20 +129,39 @@ class Shapes:
 
 
 def variances(residual: Array, shapes: Shapes) -> Array:
-    """Return s (k,) of equation (1) of a residual (N,), by maximum likelihood of what is no motion."""
-    frequency_hz, power, lines = averaged_periodogram(residual, shapes.rate_hz, shapes.motion)
-    base = shapes.at(frequency_hz)
-    total = float(np.sum(power * lines) / np.sum(lines))
+    """
+    Return s (k,) of equation (1) of a residual (N,), by restricted maximum likelihood.
+
+    What goes with the motion is taken out by least squares that weigh every frequency by the noise
+    found so far, `ROUNDS` times in turn. Unweighted, columns of the motion would follow the
+    noise of readings, a thousand times as strong at high frequencies as at those at which an axis moves,
+    and leave more there than they take.
+    """
+    count = len(residual)
+    lines = np.fft.rfft(residual - residual.mean())[1:] / math.sqrt(count)
+    total = float(np.mean(np.abs(lines) ** 2))
+    on_lines = shapes.on_lines(count)
+    found = np.full(len(on_lines), total / len(on_lines))
     if not total > 0.0:
-        return np.zeros(len(base))
-    return np.asarray(_likeliest(base, power, lines, total), np.float64)
+        return found
+    band = bands(len(lines))
+    middle = np.bincount(band, np.arange(1, len(band) + 1)) / np.bincount(band)
+    base = shapes.at(middle * shapes.rate_hz / count)
+    motion = shapes.motion_lines(count)
+    spectrum = total * (on_lines[0] + RIDGE)
+    for _ in range(ROUNDS):
+        power, share = powers_left(lines, motion, spectrum)
+        kept = np.maximum(np.bincount(band, share), LEAST_LINES)
+        found = _likeliest(base, np.bincount(band, power) / kept, kept, total, found)
+        spectrum = found @ on_lines
+    return np.asarray(found, np.float64)
 
 
 @compiled
-def _likeliest(base: Array, power: Array, lines: Array, total: float) -> Array:
-    """Return the variances (k,) after `STEPS` steps from equal ones with a sum of `total`."""
+def _likeliest(base: Array, power: Array, lines: Array, total: float, start: Array) -> Array:
+    """Return the variances (k,) after `STEPS` steps from `start`, of noise with the power `total`."""
     count, bands = base.shape
-    found = np.full(count, total / count)
+    found = start.copy()
     for _ in range(STEPS):
         gained, paid = np.zeros(count), np.zeros(count)
         for band in range(bands):
@@ -132,39 +177,36 @@ def _likeliest(base: Array, power: Array, lines: Array, total: float) -> Array:
     return found
 
 
-def averaged_periodogram(
-    residual: Array, rate_hz: float, motion: Array
-) -> tuple[Array, Array, Array]:
-    """
-    Return frequency (Hz), power and number of lines of bands of a periodogram.
-
-    The power of white noise is its variance at every frequency. Bands grow with frequency; the
-    mean of the residual is left out. Of a residual (N,) without its projection on `motion` (N, k) a
-    line has lost the share h of its power that white noise has there in the columns' span (the
-    leverage): it counts as 1 - h of a line, as restricted maximum likelihood counts degrees of freedom
-    (H. D. Patterson, R. Thompson, Biometrika 58, 1971). In a log of a second the motion takes most of
-    what is below 10 Hz.
-    """
-    count = len(residual)
-    power = np.abs(np.fft.rfft(residual - residual.mean())) ** 2 / count
-    place = np.arange(1, len(power))
+@functools.lru_cache(maxsize=64)
+def bands(count: int) -> NDArray[np.intp]:
+    """Return the band, which grow with frequency, of each of so many lines of a periodogram."""
+    place = np.arange(1, count + 1)
     band = np.floor(BANDS_PER_OCTAVE * np.log2(place)).astype(int)
-    _, band = np.unique(band, return_inverse=True)
-    left = _left_by(motion, count)[1:]
-    lines = np.maximum(np.bincount(band, left), LEAST_LINES)
-    return (
-        np.asarray(np.bincount(band, place) / np.bincount(band) * rate_hz / count),
-        np.asarray(np.bincount(band, power[1:]) / lines),
-        lines,
-    )
+    return np.unique(band, return_inverse=True)[1]
 
 
-def _left_by(motion: Array, count: int) -> Array:
-    """Return 1 - h of every line; 1 where the residual has other samples than the motion."""
-    if len(motion) != count:
-        return np.ones(count // 2 + 1)
-    inside = np.abs(np.fft.rfft(motion - motion.mean(axis=0), axis=0)) ** 2
-    return np.asarray(np.maximum(1.0 - inside.sum(axis=1) / count, 0.0))
+def powers_left(lines: Array, motion: Array, spectrum: Array) -> tuple[Array, Array]:
+    """
+    Return the power of lines (L,) without what goes with the motion (L, m), and the share of each kept.
+
+    By least squares in noise of a spectrum (L,), x' S^-1 x as metric. Of noise of that spectrum a line
+    keeps the share 1 - h of its power, h what the fit follows of it (the leverage): in a log of a
+    second the motion takes most of what is below 10 Hz. So it counts as 1 - h of a line, as restricted
+    maximum likelihood counts degrees of freedom (H. D. Patterson, R. Thompson, Biometrika 58, 1971).
+    """
+    if not motion.shape[1]:
+        return np.abs(lines) ** 2, np.ones(len(lines))
+    root = np.sqrt(spectrum)
+    rows = motion / root[:, None]
+    rows = np.vstack([rows.real, rows.imag])
+    scaled = lines / root
+    right = np.concatenate([scaled.real, scaled.imag])
+    left, size, _ = np.linalg.svd(rows, full_matrices=False)
+    left = left[:, size > SMALLEST * size[0]]
+    rest = right - left @ (left.T @ right)
+    real, imaginary = np.split(rest, 2)
+    followed = np.sum(left**2, axis=1).reshape(2, -1).sum(axis=0) / 2.0
+    return (real**2 + imaginary**2) * spectrum, np.maximum(1.0 - followed, 0.0)
 
 
 def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
@@ -174,8 +216,6 @@ def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
 
     By the Yule-Walker equations of its autocovariance. What goes with the motion is no noise.
     """
-    if len(residual) == len(shapes.motion):
-        residual = without_motion(residual, shapes.motion)
     spectrum = variances(residual, shapes) @ shapes.on_grid
     autocovariance = np.fft.irfft(spectrum)[: order + 1]
     if not autocovariance[0] > 0.0:

@@ -159,7 +159,7 @@ class PlantBlock:
                     rate_hz,
                     float(self._observer_hz[place]),
                     OBSERVER_DAMPING,
-                    motion_basis(self.measured(ENCODERS[place]), rate_hz),
+                    motion_basis(self.measured(ENCODERS[place])),
                 ),
             )
             for floor, beside, rate_hz, place in zip(

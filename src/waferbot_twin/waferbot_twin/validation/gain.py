@@ -33,7 +33,10 @@ CYCLES = 8.0
 
 @dataclass(frozen=True)
 class AxisGain:
-    """One axis of one log: times in s, position and both errors in m or rad."""
+    """
+    One axis of one log: times in s, position, both errors and the smallest step of readings in m or
+    rad.
+    """
 
     log: str
     axis: str
@@ -43,6 +46,7 @@ class AxisGain:
     error_before: Array
     error_after: Array
     closed_loop: bool
+    resolution: float = 0.0
 
     @property
     def rms_before(self) -> float:
@@ -58,6 +62,17 @@ class AxisGain:
     def improvement_percent(self) -> float:
         """Equation (6.1)."""
         return performance_improvement(self.rms_before, self.rms_after)
+
+    @property
+    def mean_square_ratio(self) -> float:
+        """
+        Mean square error of the extended model over that of the nominal one, 1 if neither has any.
+
+        Both with the variance r^2 / 12 of readings in steps of r: less than that is no error.
+        """
+        rounding = self.resolution**2 / 12.0
+        before, after = (value**2 + rounding for value in (self.rms_before, self.rms_after))
+        return after / before if before > 0.0 else 1.0
 
 
 def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> list[AxisGain]:
@@ -86,6 +101,7 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
                 before[known] / encoder.counts_per_unit,
                 after[known] / encoder.counts_per_unit,
                 closed_loop,
+                record.resolution[place] / encoder.counts_per_unit,
             )
         )
     return found

@@ -114,8 +114,8 @@ def _ratio(
     nominal: Variant, causes: Sequence[Cause], validation: Sequence[Record]
 ) -> tuple[float, list[AxisGain]]:
     """
-    Return the mean square over the axes of RMS after over RMS before; infinite where it is
-    unstable.
+    Return the mean over the axes of the mean square error after over that before; infinite where it
+    is unstable.
 
     What is evident from the readings is in both models: on the steps of a coarse encoder the
     machine hunts and the true model does, but not in step, and an RMS error does not show it.
@@ -125,7 +125,7 @@ def _ratio(
         found = gains(apply_all(nominal, evident), apply_all(nominal, causes), validation)
     except UserError:
         return math.inf, []
-    shares = [(item.rms_after / item.rms_before) ** 2 for item in found if item.rms_before > 0.0]
+    shares = [item.mean_square_ratio for item in found]
     if evident:
         found = gains(nominal, apply_all(nominal, causes), validation)
     return (float(np.mean(shares)) if shares else 1.0), found
