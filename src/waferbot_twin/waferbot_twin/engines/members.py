@@ -107,8 +107,11 @@ class SeparateProcesses(Members):
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
         for name, process in self._processes.items():
-            if process.poll():
-                return self.killed() or f'{name} ended with exit code {process.poll()}'
+            if code := process.poll():
+                how = (
+                    f'was killed by signal {-code}' if code < 0 else f'ended with exit code {code}'
+                )
+                return f'{name} {how}'
         return ''
 
     def killed(self) -> dict[str, int]:

@@ -46,6 +46,7 @@ from scipy.linalg import solve_toeplitz
 from waferbot_lockstep.compiled import compiled
 
 Array = NDArray[np.float64]
+Lines = NDArray[np.complex128]
 
 WHITE_HZ = (np.inf,)
 COLOURED_HZ = (1.0, 3.0, 10.0, 30.0, np.inf)
@@ -65,7 +66,7 @@ LEAST_LINES = 0.01
 """Of a band, so that rounding is no power where the motion takes it all."""
 
 SMALLEST = 1e-7
-"""Singular value, over the largest, of a direction that columns of the motion still have."""
+"""Singular value, over the largest, of a direction that columns of unit length still have."""
 
 RIDGE = 1e-9
 """Share of the variance that is added as white noise, so that every spectrum has a filter."""
@@ -110,14 +111,14 @@ class Shapes:
     def _on_lines(self) -> dict[int, Array]:
         return {}
 
-    def motion_lines(self, count: int) -> Array:
+    def motion_lines(self, count: int) -> Lines:
         """The motion on those lines, (L, m); m is 0 if a residual has other samples than the motion."""
         if count != len(self.motion):
-            return np.zeros((count // 2, 0))
+            return np.zeros((count // 2, 0), np.complex128)
         return self._motion_lines
 
     @cached_property
-    def _motion_lines(self) -> Array:
+    def _motion_lines(self) -> Lines:
         centred = self.motion - self.motion.mean(axis=0)
         return np.asarray(np.fft.rfft(centred, axis=0)[1:] / math.sqrt(len(centred)))
 
@@ -145,9 +146,11 @@ def variances(residual: Array, shapes: Shapes) -> Array:
     if not total > 0.0:
         return found
     band = bands(len(lines))
-    middle = np.bincount(band, np.arange(1, len(band) + 1)) / np.bincount(band)
+    middle: Array = np.bincount(band, np.arange(1, len(band) + 1)) / np.bincount(band)
     base = shapes.at(middle * shapes.rate_hz / count)
     motion = shapes.motion_lines(count)
+    # What the motion can explain where readings are nearly free of noise is no noise, to begin with:
+    # begun with the misfit as noise, the fit follows high frequencies and never takes it out.
     spectrum = total * (on_lines[0] + RIDGE)
     for _ in range(ROUNDS):
         power, share = powers_left(lines, motion, spectrum)
@@ -185,7 +188,7 @@ def bands(count: int) -> NDArray[np.intp]:
     return np.unique(band, return_inverse=True)[1]
 
 
-def powers_left(lines: Array, motion: Array, spectrum: Array) -> tuple[Array, Array]:
+def powers_left(lines: Lines, motion: Lines, spectrum: Array) -> tuple[Array, Array]:
     """
     Return the power of lines (L,) without what goes with the motion (L, m), and the share of each kept.
 
@@ -197,16 +200,15 @@ def powers_left(lines: Array, motion: Array, spectrum: Array) -> tuple[Array, Ar
     if not motion.shape[1]:
         return np.abs(lines) ** 2, np.ones(len(lines))
     root = np.sqrt(spectrum)
-    rows = motion / root[:, None]
-    rows = np.vstack([rows.real, rows.imag])
-    scaled = lines / root
-    right = np.concatenate([scaled.real, scaled.imag])
-    left, size, _ = np.linalg.svd(rows, full_matrices=False)
-    left = left[:, size > SMALLEST * size[0]]
-    rest = right - left @ (left.T @ right)
-    real, imaginary = np.split(rest, 2)
-    followed = np.sum(left**2, axis=1).reshape(2, -1).sum(axis=0) / 2.0
-    return (real**2 + imaginary**2) * spectrum, np.maximum(1.0 - followed, 0.0)
+    columns = motion / root[:, None]
+    columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    size, directions = np.linalg.eigh((columns.conj().T @ columns).real)
+    seen = size > SMALLEST**2 * size[-1]
+    spanned = columns @ (directions[:, seen] / np.sqrt(size[seen]))
+    wanted = lines / root
+    left = wanted - spanned @ (spanned.conj().T @ wanted).real
+    followed = 0.5 * np.sum(np.abs(spanned) ** 2, axis=1)
+    return np.abs(left) ** 2 * spectrum, np.maximum(1.0 - followed, 0.0)
 
 
 def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
