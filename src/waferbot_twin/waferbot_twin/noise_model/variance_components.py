@@ -146,8 +146,8 @@ def variances(residual: Array, shapes: Shapes) -> Array:
     if not total > 0.0:
         return found
     band = bands(len(lines))
-    middle: Array = np.bincount(band, np.arange(1, len(band) + 1)) / np.bincount(band)
-    base = shapes.at(middle * shapes.rate_hz / count)
+    sums = np.bincount(band, np.fft.rfftfreq(count, 1.0 / shapes.rate_hz)[1:])
+    base = shapes.at(np.asarray(sums / np.bincount(band), np.float64))
     motion = shapes.motion_lines(count)
     # What the motion can explain where readings are nearly free of noise is no noise, to begin with:
     # begun with the misfit as noise, the fit follows high frequencies and never takes it out.
