@@ -104,7 +104,8 @@ class Shapes:
     def on_lines(self, count: int) -> Array:
         """Every B_k on the lines, but that at zero, of the transform of `count` samples."""
         if count not in self._on_lines:
-            self._on_lines[count] = self.at(np.fft.rfftfreq(count, 1.0 / self.rate_hz)[1:])
+            frequency_hz = np.asarray(np.fft.rfftfreq(count, 1.0 / self.rate_hz), np.float64)
+            self._on_lines[count] = self.at(frequency_hz[1:])
         return self._on_lines[count]
 
     @cached_property
