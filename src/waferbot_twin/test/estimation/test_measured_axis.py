@@ -2,8 +2,8 @@
 """
 A real ball-screw axis (EMPS, docs/real_data.md): four parameters through the simulation.
 
-The truth is inverse-dynamics least squares on the same record. Data of `$WAFERBOT_DATA`, else of
-`../shared/data`; skipped without.
+The truth is inverse-dynamics least squares on the same record. Data of the
+folder that WAFERBOT_DATA names; skipped without.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals.from_measured_log import aligned_records, sized_by
 from waferbot_twin.residuals.problem import Cause, Problem
 
-FOLDER = Path(os.environ.get('WAFERBOT_DATA') or '../shared/data', 'emps')
+FOLDER = Path(os.environ.get('WAFERBOT_DATA', ''), 'emps')
 MASS_KG = 95.1089  # of the description
 FOUR = ('coulomb_friction', 'viscous_friction', 'wrong_inertia', 'constant_force')
 

@@ -2,8 +2,8 @@
 """
 Least squares on the measured data sets of docs/real_data.md, against the figures of their owners.
 
-Read from the folder that WAFERBOT_DATA names, else from `shared/data` beside the repository; skipped
-where there is neither.
+Read from the folder that WAFERBOT_DATA names; skipped
+where it names none.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from waferbot_twin.logs.load import load_log
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.models import load_model_or_machine
 
-DATA = Path(os.environ.get('WAFERBOT_DATA') or Path.cwd().parent / 'shared' / 'data')
+DATA = Path(os.environ.get('WAFERBOT_DATA') or 'no measured data')
 
 pytestmark = pytest.mark.skipif(
     not DATA.is_dir(), reason='no measured data: WAFERBOT_DATA (docs/real_data.md)'
