@@ -146,7 +146,7 @@ def diagnosis_of(tmp_path, model, mapping, finding, judging):
 
 @pytest.mark.slow
 def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
-    """A dry friction of 0.17 to 0.22 Nm (the data's notes), of which the log leaves open how it begins."""
+    """A dry friction of 0.17 to 0.22 Nm (notes of the data); the log leaves open how it begins."""
     data = path_of('dfki_simple_pendulum')
     finding, judging = (
         data / name / 'data_measured.csv' for name in ('ddp', 'direct_collocation')
