@@ -76,12 +76,21 @@ def check_readable(out):
 
 # ---- a node is killed ----------------------------------------------------------------------------
 
+MISSED = {
+    'plant': ('plant', r'(encoders|phase_currents)'),
+    'pmac': ('pmac', 'current_command'),
+    'copley': ('copley', 'phase_voltages'),
+    'copley_x_rotate': ('copley', r'phase_voltages \(x_rotate\)'),
+}
+"""What the neighbour of a killed node waits for."""
+
 FIRST_MISSED = {
     'plant': r'(encoders|phase_currents) \(\w+\)',
     'pmac': r'(current_command|servo_state) \(\w+\)',
     'copley': r'(phase_voltages|amplifier_state) \(\w+\)',
     'copley_x_rotate': r'(phase_voltages|amplifier_state) \(x_rotate\)',
 }
+"""What the recording has not of it: a state that nobody waits for may be the first, too."""
 
 
 TWO, CHANNEL = ['--compose', 'plant,copley'], ['--delivery', 'channel']
@@ -106,10 +115,31 @@ def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path
         rf'waferbot: error: {victim} was killed by signal 9: {never_came}; .* is gone: topic',
         program.output,
     ), program.output
+    peer, topic = MISSED[victim]
+    assert re.search(rf'{peer} is gone: topic {topic}.* tick \d+ never came', program.output)
     recording = check_readable(out)
     assert recording.closed
     assert recording.summary['complete'] == 'false'
     assert 'is gone' in recording.summary['reason']
+
+
+def test_an_answer_of_the_plant_that_is_lost_is_asked_for_again(monkeypatch, tmp_path):
+    """As by rmw_fastrtps, where a server has not yet discovered who is to have its answer."""
+    from harness import run_engine
+    from rclpy.client import Client
+    from rclpy.task import Future
+
+    asked, call = [], Client.call_async
+
+    def first_is_lost(client, request):
+        asked.append(client.srv_name)
+        answer = call(client, request)
+        return Future() if len(asked) == 1 else answer
+
+    monkeypatch.setattr(Client, 'call_async', first_is_lost)
+    recording = run_engine('composed', tmp_path / 'run', duration_s=0.05)
+    assert asked == ['plant/pause'] * 2 or asked == ['/plant/pause'] * 2
+    assert recording.summary['complete'] == 'true'
 
 
 def test_nodes_started_by_hand_end_with_an_error_when_a_peer_is_killed(start, domain):

@@ -94,7 +94,9 @@ def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, rati
     def gains(before, after, records):
         same = before is after
         return [
-            AxisGain('log', axis, 'm', error, error, error, error * (1.0 if same else ratio), True)
+            AxisGain(
+                'log', axis, 'm', error, error, error, error * (1.0 if same else ratio), True, 0.0
+            )
             for axis, ratio in zip(AXES, ratios, strict=True)
         ]
 

@@ -47,8 +47,8 @@ class Members:
         """Return what went wrong with one of the nodes, or ''."""
         raise NotImplementedError
 
-    def killed(self) -> dict[str, int]:
-        """Return the nodes that were killed from outside, and by which signal."""
+    def killed(self) -> dict[str, str]:
+        """Return how nodes were killed from outside, by their names."""
         return {}
 
     def state(self) -> str:
@@ -106,18 +106,18 @@ class SeparateProcesses(Members):
 
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
-        for name, process in self._processes.items():
-            if code := process.poll():
-                how = (
-                    f'was killed by signal {-code}' if code < 0 else f'ended with exit code {code}'
-                )
-                return f'{name} {how}'
-        return ''
+        killed = [f'{name} {how}' for name, how in self.killed().items()]
+        ended = [
+            f'{name} ended with exit code {code}'
+            for name, process in self._processes.items()
+            if (code := process.poll())
+        ]
+        return next(iter([*killed, *ended]), '')
 
-    def killed(self) -> dict[str, int]:
-        """Return the nodes that were killed from outside, and by which signal."""
+    def killed(self) -> dict[str, str]:
+        """Return how nodes were killed from outside, by their names."""
         return {
-            name: -code
+            name: f'was killed by signal {-code}'
             for name, process in self._processes.items()
             if (code := process.poll()) is not None and code < 0
         }
@@ -227,9 +227,9 @@ class Together(Members):
         """Return what went wrong with one of the nodes, or ''."""
         return next((failure for part in self._parts if (failure := part.failure())), '')
 
-    def killed(self) -> dict[str, int]:
-        """Return the nodes that were killed from outside, and by which signal."""
-        return {name: code for part in self._parts for name, code in part.killed().items()}
+    def killed(self) -> dict[str, str]:
+        """Return how nodes were killed from outside, by their names."""
+        return {name: how for part in self._parts for name, how in part.killed().items()}
 
     def state(self) -> str:
         """Return where each node stands, for messages."""

@@ -256,8 +256,7 @@ class _Conductor:
         """Return why the twin ends: who was killed, what of it never came, what the others say."""
         account = self._recorder.account
         killed = [
-            f'{name} was killed by signal {code}: {account.ended(name)}'
-            for name, code in self._members.killed().items()
+            f'{name} {how}: {account.ended(name)}' for name, how in self._members.killed().items()
         ]
         return '; '.join(filter(None, [*killed, self._recorder.stop_reason])) or otherwise
 

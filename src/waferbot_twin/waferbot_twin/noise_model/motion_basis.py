@@ -6,8 +6,8 @@ So the noise of a motion residual is what is left of it without what goes with t
 columns q of position p, speed v, acceleration, jerk, direction s = tanh(v / v_0), v |v|, |v|, s p,
 the change of s, s exp(-|v| / v_1), and a constant. With v_0 and v_1 2 % and 10 % of the largest
 speed these hold nearly all that inertias, frictions (also rising or falling from rest, by direction or
-position) and gravity change; of a delay they hold less than half. What the rest has as its spectrum is
-that of sensors and disturbances, and of little misfit (`variance_components` has a measurement).
+position) and gravity change; of a friction that is some ms late at reversals they hold less than half.
+What the rest has as its spectrum is that of sensors and disturbances, and of little misfit.
 
 The position is smoothed first. What noise of readings is left in the columns is in the residual as well,
 of the same readings, and would be taken for motion where the noise is strongest: with averages over
@@ -28,9 +28,6 @@ from scipy.fft import dst, idst
 from scipy.optimize import minimize_scalar
 
 Array = NDArray[np.float64]
-
-LOG_WEIGHTS = (-10.0, 40.0)
-"""Of a smoothing spline: from all of a reading's noise to a cycle in 5000 samples."""
 
 STANDS, NEAR_REST = 0.02, 0.1
 """v_0 and v_1, as shares of the largest speed."""
@@ -92,6 +89,8 @@ def _smooth(position: Array) -> Array:
         lost = 1.0 - 1.0 / (1.0 + math.exp(log_weight) * rough)
         return float(np.mean((lost * sines) ** 2) / np.mean(lost) ** 2)
 
-    weight = math.exp(minimize_scalar(score, bounds=LOG_WEIGHTS, method='bounded').x)
+    # From half of the fastest sine to half of the slowest.
+    ends = -np.log(rough[[-1, 0]])
+    weight = math.exp(minimize_scalar(score, bounds=ends, method='bounded').x)
     line[1:-1] += idst(sines / (1.0 + weight * rough), 1, norm='ortho')
     return np.asarray(line, np.float64)

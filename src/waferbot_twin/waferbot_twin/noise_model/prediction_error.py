@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
+from waferbot_twin.noise_model.gram import SMALLEST, spanning
 from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
 Array = NDArray[np.float64]
@@ -104,9 +105,6 @@ class Colour:
     error: PredictionError
     deviation: float
 
-
-SMALLEST = 1e-7
-"""Singular value, over the largest, of a direction that columns of unit length still show."""
 
 RIDGE = 1e-10
 """Share of its variance added to a channel's: a line spectrum, or zero, has a filter then, too."""
@@ -223,16 +221,11 @@ def reduced(matrix: Array, right: Array) -> tuple[Array, Array]:
     """
     Return the least-squares problem |A x - b| of many rows (N, k) as one of k rows or fewer.
 
-    By the eigenvalues of A' A with columns of unit length, a tenth of the time of a factorisation of A:
-    directions that A shows `SMALLEST` times as much as the plainest one, or less, are not seen.
+    W' A' A and W' A' b with the W of `gram.spanning`, a tenth of the time of a factorisation of A.
     """
-    scale = np.linalg.norm(matrix, axis=0)
-    scale[scale == 0.0] = 1.0
-    size, directions = np.linalg.eigh((matrix.T @ matrix) / np.outer(scale, scale))
-    seen = size > SMALLEST**2 * size.max(initial=0.0)
-    root, directions = np.sqrt(size[seen]), directions[:, seen]
-    shown = directions.T @ ((matrix.T @ right) / scale)
-    return np.asarray(root[:, None] * directions.T * scale), np.asarray(shown / root)
+    products = matrix.T @ matrix
+    directions = spanning(products)
+    return np.asarray(directions.T @ products), np.asarray(directions.T @ (matrix.T @ right))
 
 
 def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:

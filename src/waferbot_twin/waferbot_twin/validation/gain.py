@@ -46,7 +46,7 @@ class AxisGain:
     error_before: Array
     error_after: Array
     closed_loop: bool
-    resolution: float = 0.0
+    resolution: float
 
     @property
     def rms_before(self) -> float:
@@ -66,13 +66,12 @@ class AxisGain:
     @property
     def mean_square_ratio(self) -> float:
         """
-        Mean square error of the extended model over that of the nominal one, 1 if neither has any.
+        Mean square error of the extended model over that of the nominal one.
 
         Both with the variance r^2 / 12 of readings in steps of r: less than that is no error.
         """
         rounding = self.resolution**2 / 12.0
-        before, after = (value**2 + rounding for value in (self.rms_before, self.rms_after))
-        return after / before if before > 0.0 else 1.0
+        return (self.rms_after**2 + rounding) / (self.rms_before**2 + rounding)
 
 
 def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> list[AxisGain]:
