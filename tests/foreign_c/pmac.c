@@ -16,6 +16,7 @@
 #include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <time.h>
 
 #include <rcl/rcl.h>
 #include <rcl/error_handling.h>
@@ -26,7 +27,7 @@
 
 enum { MOTORS = 3, SERVO_TICKS = 8, DEPTH = 1024 };
 
-#define REPEAT_AFTER_NS (100 * 1000 * 1000) /* ten times a second, while nothing comes */
+#define REPEAT_AFTER_NS (100 * 1000 * 1000) /* ten times a second, while it waits */
 #define INTEGRATOR_UNITS 8388608.0          /* 2^23 */
 #define INTEGRATOR_LIMIT 4194304.0          /* Ixx63, 1/16 count */
 #define OUTPUT_LIMIT 32767.0                /* Ixx69, DAC bits */
@@ -46,6 +47,12 @@ static volatile sig_atomic_t asked_to_end = 0;
 static void end(int number) {
   (void)number;
   asked_to_end = 1;
+}
+
+static int64_t now_ns(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
 }
 
 static void check(rcl_ret_t result, const char *what) {
@@ -140,19 +147,22 @@ int main(int argc, char **argv) {
   signal(SIGINT, end);
 
   uint64_t next_tick = 0;
+  int64_t spoke_ns = 0;
   while (!asked_to_end) {
     check(rcl_wait_set_clear(&wait_set), "wait set");
     check(rcl_wait_set_add_subscription(&wait_set, &encoders, NULL), "wait set");
     check(rcl_wait_set_add_subscription(&wait_set, &stop, NULL), "wait set");
     const rcl_ret_t waited = rcl_wait(&wait_set, REPEAT_AFTER_NS);
-    if (waited == RCL_RET_TIMEOUT) {
-      rcl_reset_error();
-      if (next_tick > 0) { /* a sign of life; also for those who were not there before */
-        check(rcl_publish(&publisher, &answer, NULL), "publish");
-      }
-      continue;
+    if (waited != RCL_RET_TIMEOUT) {
+      check(waited, "wait");
     }
-    check(waited, "wait");
+    rcl_reset_error();
+    /* A sign of life; also for those who were not there before. What its peers repeat, who wait as well,
+       wakes this node, too: so the time since it spoke counts, not that since it heard something. */
+    if (next_tick > 0 && now_ns() - spoke_ns >= REPEAT_AFTER_NS) {
+      check(rcl_publish(&publisher, &answer, NULL), "publish");
+      spoke_ns = now_ns();
+    }
     while (rcl_take(&encoders, &counts, NULL, NULL) == RCL_RET_OK) {
       if (counts.tick != next_tick || counts.valid != 0xf) {
         continue; /* no servo tick, or a repetition */
@@ -167,6 +177,7 @@ int main(int argc, char **argv) {
       answer.tick = counts.tick;
       answer.valid = 0x7;
       check(rcl_publish(&publisher, &answer, NULL), "publish");
+      spoke_ns = now_ns();
       next_tick += SERVO_TICKS;
     }
     rcl_reset_error();
