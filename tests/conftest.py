@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,9 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from harness import PROFILES, Client, Program, run_engine
-
-os.environ[PROFILES] = str(Path(__file__).parent / 'fastdds.xml')
+from harness import Client, Program, run_engine
 
 
 @pytest.fixture

@@ -14,6 +14,13 @@ from typing import Any
 
 import pytest
 
+from waferbot_lockstep.transport import (
+    BUILTIN_TRANSPORTS,
+    DISCOVERY,
+    PROFILES,
+    choose_transport,
+)
+
 PATIENCE_S = 120.0
 """Wall time after which a test gives up; compiling the model for the first time is part of it."""
 
@@ -88,13 +95,9 @@ class Program:
                 os.kill(pid, signal.SIGKILL)
 
 
-PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
-"""Where Fast DDS looks for its settings; those of the tests' own process are in `fastdds.xml`."""
-
-
 def user_environment() -> dict[str, str]:
     """Return the environment without what the tests' own clients and earlier runs may have set."""
-    ours = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_DOMAIN_ID', PROFILES)
+    ours = (DISCOVERY, 'ROS_DOMAIN_ID', PROFILES, BUILTIN_TRANSPORTS)
     return {name: value for name, value in os.environ.items() if name not in ours}
 
 
@@ -196,7 +199,7 @@ class Client:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+        choose_transport()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
         self.node = Node('test_client', context=self.context)

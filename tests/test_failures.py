@@ -484,7 +484,7 @@ def test_a_killed_runner_leaves_no_node_behind_and_the_next_run_works(start, rec
     program.wait()
     wait_until_gone(program.children.values())
     assert not read_recording(tmp_path / 'killed').closed
-    # Its shared memory lies about now, and its domain is free again.
+    # Its domain is free again.
     after = run_engine('ros', tmp_path / 'after', duration_s=0.05)
     whole = recorded('inprocess')
     for name, array in after.topics.items():
@@ -506,8 +506,10 @@ def test_a_recorder_that_stands_still_while_the_others_end_misses_nothing(
     kind = waferbot_msgs.msg.PhaseVoltages
     client.node.create_subscription(kind, 'phase_voltages', heard.append, 50)
     client.spin_until(lambda: heard, 'tick 0')
-    client.spin_until(lambda: client.node.count_subscribers('phase_voltages') == 3, 'a recorder')
-    time.sleep(1.0)
+    reached = []
+    client.node.create_subscription(waferbot_msgs.msg.Recorded, 'recorded', reached.append, 50)
+    # Who has been heard by the recorder knows of it.
+    client.spin_until(lambda: reached and reached[-1].tick > 0, 'tick 0 recorded')
     program.signal(signal.SIGSTOP)
     client.call(SetBool, 'plant/pause', SetBool.Request(data=False))
     client.spin_until(lambda: heard[-1].tick == ticks - 1, 'the end')

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -61,20 +60,10 @@ def test_what_the_dead_left_in_shared_memory_is_removed_and_nothing_else(tmp_pat
     for folder in (left, used, other):
         folder.mkdir()
         (folder / 'array.pkl').write_bytes(b'0')
-    segments = {name: tmp_path / f'fastrtps_{name * 16}' for name in 'ab'}
-    for segment in segments.values():
-        segment.write_bytes(b'0')
-        segment.with_name(f'{segment.name}_el').touch()
-    port = tmp_path / 'fastrtps_port7000_el'
-    port.touch()
     remove_shared_memory_of_the_dead(tmp_path, unused_s=3600.0)
     assert left.exists()  # too young: it may be another container's
-    with segments['a'].with_name(f'{segments["a"].name}_el').open() as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        remove_shared_memory_of_the_dead(tmp_path, unused_s=-3600.0)
-    assert {path.name for path in tmp_path.iterdir()} == {
-        *(used.name, other.name, segments['a'].name, f'{segments["a"].name}_el', port.name)
-    }
+    remove_shared_memory_of_the_dead(tmp_path, unused_s=-3600.0)
+    assert {path.name for path in tmp_path.iterdir()} == {used.name, other.name}
 
 
 CLAIM = """

@@ -22,7 +22,6 @@ again.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -271,11 +270,11 @@ class LockstepNode(Node):
         Stay after the end, repeating the last messages, so that nobody misses one.
 
         A message that is lost on the way is sent again when its reader finds out, and only while its
-        writer lives. Readers find out when Fast DDS asks them what they have, every 3 s; repetitions
-        do not make it ask. So after an ordinary end the node stays until all it said is acknowledged,
-        or until an interrupt says that it is not needed any more, but not shorter than `FAREWELL_S`
-        nor longer than `FAREWELL_LIMIT_S`. After any other end it stays `FAREWELL_S`: whoever does not
-        answer then may be dead.
+        writer lives. Readers find out when Fast DDS asks them what they have (see `transport`: every
+        3 s where the user's own settings hold); repetitions do not make it ask. So after an ordinary
+        end the node stays until all it said is acknowledged, or until an interrupt says that it is not
+        needed any more, but not shorter than `FAREWELL_S` nor longer than `FAREWELL_LIMIT_S`. After any
+        other end it stays `FAREWELL_S`: whoever does not answer then may be dead.
         """
         begun_s = time.monotonic()
         while True:
@@ -716,7 +715,7 @@ def run_nodes(
     Return its exit code (0: ended as meant, 1: an error, told on stderr). `make_nodes` is called once
     rclpy is up.
     """
-    choose_transport(sys.argv if arguments is None else arguments)
+    choose_transport()
     interrupt = Interrupt()
     ensure_log_folder()
     rclpy.init(

@@ -44,8 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the recorder as a process; return its exit code (0: all of it is there)."""
     everything = list(sys.argv if arguments is None else arguments)
     options = _parser().parse_args(remove_ros_args(everything)[1:])
-    # What the recorder is told of time decides on its transport, as with the nodes.
-    choose_transport([*everything, '-p', f'timekeeping:={options.timekeeping}'])
+    choose_transport()
     try:
         print(record(options, everything))
     except UserError as error:

@@ -10,11 +10,8 @@ stays in `/dev/shm`; the next command removes it.
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import multiprocessing
 import os
-import re
 import shutil
 import threading
 import time
@@ -50,21 +47,15 @@ def remove_shared_memory_of_the_dead(
     """
     Remove what processes of this user left in shared memory when they, and all beside them, were killed.
 
-    That is what joblib shared with its workers (`joblib_memmapping_folder_<process>_...`) and segments
-    of Fast DDS, each of which is locked (`..._el`) as long as its process lives. What was touched within
-    `unused_s` stays: a container may see our shared memory, and has process numbers of its own.
+    That is what joblib shared with its workers, `joblib_memmapping_folder_<process>_...`. What was
+    touched within `unused_s` stays: a container may see our shared memory, and has process numbers of
+    its own.
     """
     before_s = time.time() - unused_s
     for path in folder.glob('joblib_memmapping_folder_*'):
         number = path.name.split('_')[3]
         if _is_old(path, before_s) and number.isdigit() and not Path('/proc', number).exists():
             shutil.rmtree(path, ignore_errors=True)
-    for lock in folder.glob('fastrtps_*_el'):
-        if re.fullmatch('fastrtps_[0-9a-f]{16}_el', lock.name) and _is_old(lock, before_s):
-            with contextlib.suppress(OSError), lock.open('r+') as stream:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                lock.with_name(lock.name.removesuffix('_el')).unlink(missing_ok=True)
-                lock.unlink()
 
 
 def _is_old(path: Path, before_s: float) -> bool:

@@ -29,7 +29,12 @@ from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import FAREWELL_S, SIGN_OF_LIFE_PERIOD_S, make_executor
 from waferbot_lockstep.ros_logs import ensure_log_folder
-from waferbot_lockstep.transport import DISCOVERY, PROFILES, choose_transport
+from waferbot_lockstep.transport import (
+    BUILTIN_TRANSPORTS,
+    DISCOVERY,
+    PROFILES,
+    choose_transport,
+)
 from waferbot_twin.engines.domain import Domain, check_loopback
 from waferbot_twin.engines.layout import (
     CHANNEL,
@@ -273,9 +278,9 @@ class _Conductor:
 def ros_environment(domain: int, any_host: bool) -> Iterator[None]:
     """Set what decides whom ROS talks to, for this process and its children; restore it after."""
     wanted = {'ROS_DOMAIN_ID': str(domain), DISCOVERY: 'SUBNET' if any_host else 'LOCALHOST'}
-    before = {name: os.environ.get(name) for name in (*wanted, PROFILES)}
+    before = {name: os.environ.get(name) for name in (*wanted, PROFILES, BUILTIN_TRANSPORTS)}
     os.environ.update(wanted)
-    choose_transport([])
+    choose_transport()
     try:
         yield
     finally:
