@@ -66,6 +66,20 @@ def test_seen_from_the_other_side_the_gain_is_a_loss(colour, change):
     assert gain(one, one) == 0.0
 
 
+def test_causes_on_two_axes_are_ahead_of_one_another_by_what_each_gains_on_its_own():
+    """What the one leaves over on the other's axis is no noise for the other one to be hidden in."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    noise = random.normal(size=(2, 2400))
+    of_one, of_other = 0.5 * np.sin(np.outer([0.3, 0.2], np.arange(2400.0)))
+    neither = leaving(noise[0] + of_one, noise[1] + 3.0 * of_other)
+    first = leaving(noise[0], noise[1] + 3.0 * of_other)
+    second = leaving(noise[0] + of_one, noise[1])
+    apart = gain(second, neither) - gain(first, neither)
+    assert apart > 10.0
+    assert gain(second, first) == pytest.approx(apart)
+
+
 def test_noise_gains_nothing_and_a_cause_as_much_as_its_squares():
     """Of white noise ln L falls by |d|^2 / 2 s^2 without what is there: here by 100."""
     print(f'seed {SEED}')

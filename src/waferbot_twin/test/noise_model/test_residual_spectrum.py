@@ -28,7 +28,7 @@ from waferbot_twin.noise_model.residual_spectrum import (
     cosines,
     covariance,
     flattened,
-    log_likelihood_ratio_in,
+    log_likelihood_ratios_in,
     power_along,
     powers_along,
     spectrum,
@@ -126,8 +126,10 @@ def test_what_lacks_in_one_channel_does_not_hide_what_another_one_shows():
     colours = likelihood([clean, clean], [Noise(1e-9, ORDER)] * 2).colours
     change = in_deviations(colours, [DIRECTIONS['a fast one']] * 2)
     clean, disturbed = in_deviations(colours, [clean, 30.0 * MOVES * DIRECTIONS['a fast one']])
-    alone = log_likelihood_ratio_in(powers_along([clean], change[:1], colours[:1]), [50.0])
-    both = log_likelihood_ratio_in(powers_along([clean, disturbed], change, colours), [50.0, 50.0])
+    alone = sum(log_likelihood_ratios_in(powers_along([clean], change[:1], colours[:1]), [50.0]))
+    both = sum(
+        log_likelihood_ratios_in(powers_along([clean, disturbed], change, colours), [50.0, 50.0])
+    )
     assert alone <= both < alone + 1.0
     pooled = power_along([clean, disturbed], change, colours)
     assert pooled.log_likelihood_ratio(100.0) < 0.1 * alone

@@ -39,7 +39,7 @@ from scipy.special import logsumexp
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
-from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratio_in, powers_along
+from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -51,20 +51,28 @@ def gain(
     more: Hypothesis, fewer: Hypothesis, noise_known: bool = False, power_known: bool = False
 ) -> float:
     """
-    Return equation (1), block by block: how much likelier the logs are with `more` than with `fewer`.
+    Return equation (1): how much likelier the logs are with `more` than with `fewer`.
 
-    Antisymmetric: seen from the one that leaves less over. Both are hypotheses of the same problem. With
-    `noise_known` the noise of both is that of `more`, as where both were simulated with the same; with
-    `power_known` lambda is taken for the true one: nu is infinite.
+    Antisymmetric, channel by channel: each is seen from the one that leaves less over there. Seen
+    from the other one, what it lacks would be noise along the very direction in question. Both are
+    hypotheses of the same problem. With `noise_known` the noise of both is that of `more`, as where
+    both were simulated with the same; with `power_known` lambda is taken for the true one: nu is
+    infinite.
     """
-    if noise_known:
-        return _seen_from(more, fewer, True, power_known)
-    seen = _seen_from(more, fewer, False, power_known)
-    return seen if seen >= 0.0 else -max(_seen_from(fewer, more, False, power_known), 0.0)
+    seen = _seen_from(more, fewer, noise_known, power_known)
+    if noise_known or all(one >= 0.0 for one in seen):
+        return sum(seen)
+    back = _seen_from(fewer, more, noise_known, power_known)
+    return sum(
+        one if one >= 0.0 else -max(other, 0.0) for one, other in zip(seen, back, strict=True)
+    )
 
 
-def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool, power_known: bool) -> float:
-    total = 0.0
+def _seen_from(
+    this: Hypothesis, other: Hypothesis, noise_known: bool, power_known: bool
+) -> list[float]:
+    """Return equation (1) with the noise that `this` leaves, channel by channel of every block."""
+    found: list[float] = []
     for block, fit in this.fits.items():
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
@@ -78,8 +86,8 @@ def _seen_from(this: Hypothesis, other: Hypothesis, noise_known: bool, power_kno
         powers = powers_along(left, changes, fit.colours)
         if power_known:
             powers = [power.as_if_known for power in powers]
-        total += log_likelihood_ratio_in(powers, squares)
-    return total
+        found += log_likelihood_ratios_in(powers, squares)
+    return found
 
 
 def log_occam(

@@ -154,15 +154,15 @@ def powers_along(
     return found
 
 
-def log_likelihood_ratio_in(powers: Sequence[Power], squares: Sequence[float]) -> float:
+def log_likelihood_ratios_in(powers: Sequence[Power], squares: Sequence[float]) -> list[float]:
     """
     Return ln of the likelihood ratio of a change that lowers each channel's sum of squares by so much.
 
     What lacks on one axis, or in one log, says nothing of the power in another one.
     """
-    return sum(
+    return [
         power.log_likelihood_ratio(square) for power, square in zip(powers, squares, strict=True)
-    )
+    ]
 
 
 def power_along(

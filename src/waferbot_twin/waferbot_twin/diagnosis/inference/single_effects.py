@@ -401,19 +401,12 @@ def _posterior(
     scales: Sequence[float],
 ) -> SingleEffect | None:
     """Return equation (2) for fitted candidates."""
-    fitted = sorted(members, key=lambda item: -item.found.log_likelihood)
-    if not fitted:
+    if not members:
         return None
-    # Two candidates are compared along what they do differently, not along what both explain.
-    likeliest = fitted[0]
-    relative = {
-        id(one): one.log_prior
-        + _occam(problem, one, base, scales)
-        - gain(likeliest.found, one.found)
-        for one in fitted
-    }
+    relative = _relative(problem, base, members, scales)
+    fitted = sorted(members, key=lambda item: -relative[id(item)])
     ranked: dict[str, Member] = {}
-    for one in sorted(fitted, key=lambda item: -relative[id(item)]):
+    for one in fitted:
         ranked.setdefault(one.cause.name, one)
     members = list(ranked.values())
     best = members[0]
@@ -428,6 +421,30 @@ def _posterior(
     ]
     found.sort(key=lambda item: -item.probability)
     return SingleEffect(tuple(found), none / total)
+
+
+def _relative(
+    problem: Problem, base: Hypothesis, members: Sequence[Member], scales: Sequence[float]
+) -> dict[int, float]:
+    """
+    Return ln of the posterior odds of each member against the one that no other beats, by its id.
+
+    Two candidates are compared along what they do differently, not along what both explain. Begun
+    with the likeliest, the one that is ahead of it takes its place until none is.
+    """
+    own = [one.log_prior + _occam(problem, one, base, scales) for one in members]
+    place = max(range(len(members)), key=lambda number: members[number].found.log_likelihood)
+    seen: set[int] = set()
+    while True:
+        seen.add(place)
+        ahead = [
+            odds - own[place] - gain(members[place].found, one.found)
+            for odds, one in zip(own, members, strict=True)
+        ]
+        best = int(np.argmax(ahead))
+        if best in seen:
+            return {id(one): value for one, value in zip(members, ahead, strict=True)}
+        place = best
 
 
 def _occam(problem: Problem, member: Member, base: Hypothesis, scales: Sequence[float]) -> float:

@@ -33,7 +33,7 @@ from waferbot_twin.diagnosis.inference.single_effects import Posterior
 from waferbot_twin.effects.places import motor_axes
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import in_deviations
-from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratio_in, powers_along
+from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.noise_free_motion import Motion, motions
 from waferbot_twin.residuals.problem import PLANT, Channel, Problem
 from waferbot_twin.residuals.record import Array
@@ -138,7 +138,7 @@ def _dependence(
         rest, np.split(explained, cuts), [fit.colours[place] for place in places]
     )
     rank = np.linalg.matrix_rank(rows / scale, 1e-8)
-    gained = log_likelihood_ratio_in(powers, squares)
+    gained = sum(log_likelihood_ratios_in(powers, squares))
     return gained - 0.5 * float(rank) * math.log(len(whole)), sum(squares) / float(whole @ whole)
 
 

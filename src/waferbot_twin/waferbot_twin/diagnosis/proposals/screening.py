@@ -42,7 +42,7 @@ from waferbot_twin.estimation.hypothesis import (
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
-    log_likelihood_ratio_in,
+    log_likelihood_ratios_in,
     power_along,
     powers_along,
 )
@@ -328,8 +328,8 @@ class _Gain:
             for more, one, two in zip(already, known.before, left, strict=True)
         ]
         return cls(
-            log_likelihood_ratio_in(powers, squares),
-            log_likelihood_ratio_in([power.as_if_known for power in powers], squares),
+            sum(log_likelihood_ratios_in(powers, squares)),
+            sum(log_likelihood_ratios_in([power.as_if_known for power in powers], squares)),
         )
 
     def screened(self, rival: Cause, value: Array, occam: float) -> Screened:
