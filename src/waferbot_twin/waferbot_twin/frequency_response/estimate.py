@@ -271,8 +271,8 @@ def _regression(
     """
     reference, signal, result = looks
     power = np.sum(np.abs(reference) ** 2, axis=0)
-    to_input = np.sum(signal * reference.conj(), axis=0) / power
-    to_output = np.sum(result * reference.conj(), axis=0) / power
+    to_input: ComplexArray = (signal * reference.conj()).sum(axis=0) / power
+    to_output: ComplexArray = (result * reference.conj()).sum(axis=0) / power
     value = to_output / to_input
     left = (result - to_output * reference) - value * (signal - to_input * reference)
     degrees = len(reference) - realisations
