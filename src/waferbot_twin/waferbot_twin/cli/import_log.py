@@ -5,7 +5,7 @@ Import a measured log: text, arrays or a recording become signals in SI units, i
 LOG is a text file (CSV, PMAC gather, a drive's trace export), an array (.npy, .npz, .mat), or a
 recording of ROS 2. --map says which column is which signal; recordings with the twin's own topics or
 joint states do not need one. What cannot be used is left out and listed, with place and reason.
-docs/logs.md has the mapping file and the form of what is written.
+docs/log_mapping.md has the mapping file, docs/log_formats.md the form of what is written.
 """
 
 from __future__ import annotations

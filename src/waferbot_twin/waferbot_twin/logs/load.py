@@ -64,7 +64,7 @@ def load_log(
         return _from_bag(path, mapping, model, machine, name)
     if mapping is None:
         raise UserError(
-            f'{path}: say what its columns are: --map FILE (docs/logs.md shows how to write one)'
+            f'{path}: say what its columns are: --map FILE (docs/log_mapping.md shows how to write one)'
         )
     if path.is_dir():
         raise UserError(f'{path} is a folder; a log of format {mapping.format} is a file')

@@ -2,7 +2,8 @@
 """
 Mapping files: which column of a log is which signal, in which unit.
 
-The grammar is `mapping.schema.json`; docs/logs.md explains every key. Errors name file, line and key.
+The grammar is `mapping.schema.json`; docs/log_mapping.md explains every key. Errors name file, line
+and key.
 """
 
 from __future__ import annotations
