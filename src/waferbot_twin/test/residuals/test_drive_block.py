@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -63,6 +64,12 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def means(values, timing):
+    """Return the means over servo cycles of values by ticks."""
+    whole = len(values) // timing.servo_divider * timing.servo_divider
+    return values[:whole].reshape(-1, timing.servo_divider).mean(axis=1)
+
+
 @pytest.mark.parametrize('hidden', [None, 'coulomb_friction', 'wrong_inertia', 'cogging'])
 def test_a_drive_that_is_right_is_quiet_whatever_the_mechanism_is(nominal, hidden):
     machine = with_effect(nominal, hidden, 'x_rotate') if hidden else nominal
@@ -74,7 +81,7 @@ def test_a_drive_that_is_right_is_quiet_whatever_the_mechanism_is(nominal, hidde
     for channel, left in residuals(WindingsBlock, record, nominal, nominal).items():
         # Y-Rotate's motor has coarse counts and little inductance: half as much again.
         allowed = 1.5 if channel.startswith('y_rotate') else 1.1
-        assert 0.9 < rms(left) / (CURRENT_NOISE_A / np.sqrt(cycle)) < allowed, channel
+        assert 0.9 < rms(left) / CURRENT_NOISE_A < allowed, channel
     for channel, left in residuals(CurrentLoopBlock, record, nominal, nominal).items():
         assert rms(left) < CURRENT_NOISE_A / np.sqrt(cycle), channel
 
@@ -85,13 +92,13 @@ def test_readings_that_are_late_are_not_missed_at_the_end_of_a_log(nominal):
     record = log(late)
     speed = np.diff(record.reading[-20:, AXES.index('x_rotate')])
     assert abs(speed.mean()) > 1.0  # it moves there
-    cycle = record.timing.servo_divider
     models = (late, nominal)
     true, wrong = (residuals(WindingsBlock, record, nominal, model) for model in models)
     for line in ('x_rotate line 1', 'x_rotate line 2'):
-        assert rms(true[line]) < 1.1 * CURRENT_NOISE_A / np.sqrt(cycle)
-        assert np.abs(true[line][-8:]).max() < 5.0 * CURRENT_NOISE_A / np.sqrt(cycle)
-        assert rms(wrong[line]) > 1.5 * rms(true[line])
+        assert rms(true[line]) < 1.1 * CURRENT_NOISE_A
+        assert np.abs(true[line][-64:]).max() < 5.0 * CURRENT_NOISE_A
+        late_by, none = (means(one[line], record.timing) for one in (wrong, true))
+        assert rms(late_by) > 1.5 * rms(none)
 
 
 @pytest.mark.parametrize('block', [WindingsBlock, CurrentLoopBlock])
@@ -112,9 +119,27 @@ def test_windings_are_not_moved_by_an_encoder_with_large_steps(nominal, block):
 def test_without_noise_windings_are_right_to_a_fraction_of_the_noise(nominal):
     record = log(nominal, level=0.0)
     for channel, left in residuals(WindingsBlock, record, nominal, nominal).items():
-        assert rms(left) < 0.75e-3, channel  # counts of Y-Rotate's motor
+        assert rms(left) < 0.3 * CURRENT_NOISE_A, channel  # counts of Y-Rotate's motor
         if not channel.startswith('y_rotate'):
             assert rms(left) < 0.2e-3, channel
+
+
+@pytest.mark.parametrize('axis', ['y_linear', 'x_rotate'])
+def test_noise_of_the_sensors_makes_no_sensor_seem_wrong(nominal, axis):
+    """By means over a cycle, within which the loop answers the noise, lines 1 seem 60 to 90 % wrong."""
+    print(f'seed {SEED}')
+    noisy = nominal.with_overlay(noise(nominal, 1.0, SEED, np.random.default_rng(SEED)))
+    twin = Twin.of(noisy.model(), Timing(), load_experiment('constant'))
+    record = record_of_signals('standing', twin.advance(Timing().ticks(DURATION_S)))
+    effect = find('phase_gain_mismatch')
+    wrong = effect.apply(nominal, axis, {'line_1': 0.01, 'line_2': 0.01})
+    right = residuals(WindingsBlock, record, nominal, nominal)
+    changed = residuals(WindingsBlock, record, nominal, wrong)
+    for channel in (f'{axis} line 1', f'{axis} line 2'):
+        by_one_percent = changed[channel] - right[channel]
+        square = by_one_percent @ by_one_percent
+        estimate = -0.01 * (by_one_percent @ right[channel]) / square
+        assert abs(estimate) < 4.0 * 0.01 * rms(right[channel]) / math.sqrt(square), channel
 
 
 def test_without_noise_no_sensor_of_the_fastest_motor_seems_wrong(nominal):
@@ -195,7 +220,7 @@ def test_a_log_that_begins_in_the_middle_is_followed(nominal):
     for left in residuals(AmplifierBlock, later, nominal, nominal).values():
         assert np.abs(left).max() < 1e-6
     for channel, left in residuals(WindingsBlock, later, nominal, nominal).items():
-        assert rms(left) < 1.6e-3, channel
+        assert rms(left) < 1.1 * CURRENT_NOISE_A, channel
 
 
 def test_bridges_that_were_off_are_off_in_the_replay(nominal):
