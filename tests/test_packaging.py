@@ -121,7 +121,8 @@ def test_the_wheel_requires_what_is_imported_and_no_more():
         if name.startswith('waferbot')
         or any(dist.startswith('ros-') for dist in metadata.packages_distributions().get(name, ()))
     }
-    ours = {name for name in imported if name.endswith('_msgs') or name.startswith('launch')}
+    ours = {name for name in imported if name.endswith(('_msgs', '_interfaces'))}
+    ours |= {name for name in imported if name.startswith('launch')}
     outside = imported - from_ros - ours - NOT_INSTALLED
     assert {DISTRIBUTIONS.get(name, name) for name in outside} == required
 

@@ -47,6 +47,8 @@ class Arrivals:
     """
     How the messages of one topic came, counted from the start of the node.
 
+    `received` counts those that said something for a tick for the first time, in whatever order they
+    came: with `missed` they are all messages from the first one on to the newest, each counted once.
     `lateness_s` has, for the last messages, the wall time from when the receiver reached their tick to
     when they came (0 for those that were there already); `worst_s` is the largest of all.
     `longest_silence_s` is the longest wall time between two messages, repetitions included.
@@ -199,6 +201,10 @@ class NewestInput(TopicInput):
                     passed_over = max(passed_over, gap)
                     self._note_gap(newest[place], tick, 1 << place)
                 newest[place] = tick
+        if tick == 0 and new:  # what is held came before it, so it belongs to another beginning
+            self._held_back = [
+                (held, mask & ~new, old) for held, mask, old in self._held_back if mask & ~new
+            ]
         if not new:
             self._account_for_old(tick, relevant, values)
             return False
@@ -226,6 +232,7 @@ class NewestInput(TopicInput):
         arrivals = self.arrivals
         lacking = self._gaps.get(tick, 0) & relevant
         if lacking:
+            arrivals.received += 1
             arrivals.late += 1
             arrivals.missed -= 1
             self._gaps[tick] &= ~lacking

@@ -8,14 +8,16 @@ longer than `patience_s`, then it goes on with the newest and waits no more unti
 So amplifiers that are alive but slow make sim time slow, which is told; those that are gone do not.
 
 Service `~/pause` stops and continues time; a twin that is paused at tick 0 (parameter `start_paused`)
-waits there with all its nodes connected, so that nobody misses the beginning.
+waits there with all its nodes connected, so that nobody misses the beginning. Where ROS has the package
+`simulation_interfaces`, its services step and, in real time, reset the twin as well; see
+`waferbot_plant.simulation_services`.
 """
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +38,7 @@ from waferbot_lockstep.contract import (
     SLOW_DIVIDER,
     Topic,
 )
+from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import (
     LOCKSTEP,
     REALTIME,
@@ -59,6 +62,7 @@ from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.node_settings import PLANT_SETTINGS
 from waferbot_plant.pace import LONGEST_LAG_S, Pace
+from waferbot_plant.simulation_services import offer_simulation_services
 from waferbot_plant.urdf import urdf
 
 UNWATCHED_TICKS = 8
@@ -87,6 +91,8 @@ class PlantNode(LockstepNode):
                 'start_paused', False, 'wait at tick 0 until ~/pause lets time go on'
             )
         )
+        self._steps_left = 0  # ticks to take while time is paused
+        self._stepped: Callable[[str], None] | None = None
         settings = self.declare_settings('', PLANT_SETTINGS)
         self._pace = Pace(float(settings['realtime_factor']), self.timing.tick_s)
         self._recorder_window = int(settings['recorder_window'])
@@ -112,6 +118,7 @@ class PlantNode(LockstepNode):
         )
         self._description_publisher.publish(string_message(urdf(machine.description)))
         self.create_service(SetBool, '~/pause', self._on_pause)
+        offer_simulation_services(self)
         if self._recorder_window:
             self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())
 
@@ -122,6 +129,11 @@ class PlantNode(LockstepNode):
     def tick(self) -> int:
         """The tick at which the plant stands."""
         return self._tick
+
+    @property
+    def paused(self) -> bool:
+        """Whether time stands, but for the steps that are asked for."""
+        return self._paused
 
     def begin(self) -> None:
         """Send the feedback of tick 0."""
@@ -139,13 +151,16 @@ class PlantNode(LockstepNode):
             self._advance_if_free()
         elif self._pace.running:
             self._follow_wall_clock()
-        elif not self._paused:
+        elif self._may_go():
             self._pace.start(self._tick, time.monotonic())
+
+    def _may_go(self) -> bool:
+        return not self._paused or self._steps_left > 0
 
     def _advance_if_free(self) -> None:
         """Take the tick that is due, unless time is paused or the recorder too far behind."""
         behind = self._tick - self._recorded >= self._recorder_window > 0
-        if self._due and not self._paused and not behind and self.outcome is None:
+        if self._due and self._may_go() and not behind and self.outcome is None:
             self._advance()
 
     def _on_recorded(self, recorded: Any) -> None:
@@ -195,6 +210,11 @@ class PlantNode(LockstepNode):
             self.finish()
         else:
             self._measure()
+        if self._steps_left:
+            self._steps_left -= 1
+            if not self._steps_left:
+                self._pace.stop()
+                self._end_stepping('')
 
     def _measure(self) -> None:
         tick = self._tick
@@ -231,16 +251,71 @@ class PlantNode(LockstepNode):
             ),
         )
 
+    # ---- who has time go on ----------------------------------------------------------------------
+
     def _on_pause(self, request: Any, response: Any) -> Any:
-        self._paused = request.data
+        self.pause(request.data)
         response.success = True
         response.message = f'{"paused" if request.data else "running"} at tick {self._tick}'
+        return response
+
+    def pause(self, paused: bool) -> None:
+        """Let time stand, or go on. Either ends the steps that are being taken."""
+        self._paused = paused
+        if self._steps_left:
+            self._end_stepping(f'{"paused" if paused else "let go"} by somebody else')
         self._pace.stop()
+        self._go_on()
+
+    def step(self, ticks: int, done: Callable[[str], None]) -> None:
+        """
+        Take some ticks of paused time; then call `done` with '', or else with why not all were taken.
+
+        In real time they take their wall time, as any other.
+        """
+        if not self._paused:
+            done('time is not paused')
+        elif self._steps_left:
+            done('the steps asked for before are still to be taken')
+        elif not ticks:
+            done('')
+        else:
+            self._steps_left, self._stepped = ticks, done
+            self._go_on()
+
+    def reset(self) -> str:
+        """
+        Begin anew at tick 0, with the machine at rest; return '' or why that cannot be.
+
+        The others see it by tick 0 coming again, as from a plant that was started again, and begin
+        anew with it. In lock-step every tick is given once, and to them the tick would be stale.
+        """
+        if self.timekeeping == LOCKSTEP:
+            return 'in lock-step no tick is given twice: start all nodes again'
+        if self._steps_left:
+            self._end_stepping('reset by somebody else')
+        self._pace.stop()
+        self._tick = 0
+        self._model_state[:] = self._machine.resting_state(self._model_parameters)
+        self.inboxes[PHASE_VOLTAGES].forget()
+        self._measure()
+        return ''
+
+    def _go_on(self) -> None:
         if self.timekeeping == LOCKSTEP:
             self._advance_if_free()
         else:
             self.on_input(PHASE_VOLTAGES)
-        return response
+
+    def _end_stepping(self, failure: str) -> None:
+        done, self._steps_left, self._stepped = self._stepped, 0, None
+        if done is not None:
+            done(failure)
+
+    def take_leave(self, interrupt: Interrupt) -> None:
+        """Tell who waits for steps that they do not come any more; then as every node."""
+        self._end_stepping(f'the twin has ended at tick {self._tick}')
+        super().take_leave(interrupt)
 
     def watch(self, now_s: float) -> None:
         """Stop if a recorder that was there has fallen silent."""
