@@ -15,7 +15,7 @@ LOCK = requirements/lock-python$(shell $(PYTHON) -c 'import sys; print("%d.%d" %
 RUN := ./waferbot --exec
 SIDE_BY_SIDE := --numprocesses auto --dist loadfile
 
-.PHONY: help build demo test test-fast lint bench bench-diagnosis bench-fuzz docs audit lock clean
+.PHONY: help build demo test test-fast lint bench bench-diagnosis bench-endurance bench-fuzz docs audit lock clean
 
 help:
 	@echo 'make demo       set up, run the twin over ROS 2, diagnose logs of a machine'
@@ -23,6 +23,7 @@ help:
 	@echo 'make test-fast  linters and the tests that need no ROS processes (2 minutes; more the first time)'
 	@echo 'make bench      measure speed: engines beside the raw exchange of messages, plant beside MuJoCo and pinocchio'
 	@echo 'make bench-diagnosis  blind tests of the diagnosis; OPTIONS=--help says how to do a part of them'
+	@echo 'make bench-endurance  starts, lossy controllers, killed nodes, over and over (an hour)'
 	@echo 'make bench-fuzz  5000 damaged inputs of every kind, none of which may bring a traceback'
 	@echo 'make build      only set up: .venv with ROS 2 Jazzy from PyPI, then colcon build'
 	@echo 'make docs       the documentation as a site in build/docs; broken links are errors'
@@ -68,6 +69,9 @@ bench: build
 
 bench-diagnosis: build
 	$(RUN) python tests/bench/bench_diagnosis.py $(OPTIONS)
+
+bench-endurance: build
+	$(RUN) python tests/bench/bench_endurance.py $(OPTIONS)
 
 bench-fuzz: build
 	$(RUN) python tests/bench/bench_fuzz.py $(OPTIONS)

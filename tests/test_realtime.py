@@ -7,11 +7,17 @@ import math
 import random
 import re
 import signal
+import sys
 import time
+from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from harness import start_node
+
+sys.path.insert(0, str(Path(__file__).parent / 'bench'))
+
+from endurance.losses import losses
 
 from waferbot_msgs.msg import CurrentCommand, Encoders, PhaseCurrents, PhaseVoltages
 
@@ -233,3 +239,15 @@ def test_no_finite_number_still_stops_it(plant, peer):
     peer.answer(peer.tick, voltage=[math.nan] + [0.0] * 8)
     assert plant.wait(10) == 1
     assert re.search(r'topic phase_voltages, tick \d+ from copley: .*finite', plant.output)
+
+
+# ---- a controller behind a bad network -------------------------------------------------------------
+
+
+def test_a_controller_that_loses_and_delays_commands_is_counted_to_the_message(tmp_path):
+    """For a few seconds; `tests/bench/bench_endurance.py` does it for ten minutes."""
+    found = losses(6.0, SEED, tmp_path)
+    print(f'seed {SEED}: {found}')
+    assert found['ok'], found
+    assert found['done']['dropped'] > 0
+    assert found['done']['delayed'] > 0
