@@ -12,22 +12,15 @@
  */
 
 #include <math.h>
-#include <signal.h>
 #include <stdbool.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <time.h>
 
-#include <rcl/rcl.h>
-#include <rcl/error_handling.h>
-
+#include "node.h"
 #include "waferbot_msgs/msg/current_command.h"
 #include "waferbot_msgs/msg/encoders.h"
 #include "waferbot_msgs/msg/stop.h"
 
-enum { MOTORS = 3, SERVO_TICKS = 8, DEPTH = 1024 };
+enum { MOTORS = 3, SERVO_TICKS = 8 };
 
-#define REPEAT_AFTER_NS (100 * 1000 * 1000) /* ten times a second, while it waits */
 #define INTEGRATOR_UNITS 8388608.0          /* 2^23 */
 #define INTEGRATOR_LIMIT 4194304.0          /* Ixx63, 1/16 count */
 #define OUTPUT_LIMIT 32767.0                /* Ixx69, DAC bits */
@@ -41,26 +34,6 @@ typedef struct {
   double start;                                                               /* counts */
   double command, velocity_feedback, integrator; /* of the cycle before, in the law's registers */
 } Motor;
-
-static volatile sig_atomic_t asked_to_end = 0;
-
-static void end(int number) {
-  (void)number;
-  asked_to_end = 1;
-}
-
-static int64_t now_ns(void) {
-  struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
-  return (int64_t)now.tv_sec * 1000000000 + now.tv_nsec;
-}
-
-static void check(rcl_ret_t result, const char *what) {
-  if (result != RCL_RET_OK) {
-    fprintf(stderr, "pmac: %s: %s\n", what, rcl_get_error_string().str);
-    exit(1);
-  }
-}
 
 /* Close the loop of a motor where it stands: no velocity, no integral. */
 static void prime(Motor *m, const int64_t *counts, int i) {
@@ -107,35 +80,22 @@ int main(int argc, char **argv) {
         .ixx32 = atof(own[6]), .ixx33 = atof(own[7]), .peak_current = atof(own[8])};
   }
 
-  const rcl_allocator_t allocator = rcl_get_default_allocator();
-  rcl_init_options_t init_options = rcl_get_zero_initialized_init_options();
-  check(rcl_init_options_init(&init_options, allocator), "options");
-  rcl_context_t context = rcl_get_zero_initialized_context();
-  check(rcl_init(0, NULL, &init_options, &context), "init");
-  rcl_node_t node = rcl_get_zero_initialized_node();
-  rcl_node_options_t node_options = rcl_node_get_default_options();
-  check(rcl_node_init(&node, "pmac_in_c", "", &context, &node_options), "node");
-
-  rcl_publisher_t publisher = rcl_get_zero_initialized_publisher();
-  rcl_publisher_options_t publisher_options = rcl_publisher_get_default_options();
-  publisher_options.qos.depth = DEPTH; /* reliable, volatile, keep last by default */
-  check(rcl_publisher_init(&publisher, &node,
-                           ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, CurrentCommand),
-                           "current_command", &publisher_options),
-        "publisher");
-  rcl_subscription_t encoders = rcl_get_zero_initialized_subscription();
-  rcl_subscription_t stop = rcl_get_zero_initialized_subscription();
-  rcl_subscription_options_t subscription_options = rcl_subscription_get_default_options();
-  subscription_options.qos.depth = DEPTH;
-  check(rcl_subscription_init(&encoders, &node,
-                              ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Encoders),
-                              "encoders", &subscription_options),
-        "subscription");
-  check(rcl_subscription_init(&stop, &node, ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Stop),
-                              "stop", &subscription_options),
-        "subscription");
+  rcl_context_t context;
+  rcl_node_t node;
+  begin_node(&context, &node, "pmac_in_c");
+  rcl_publisher_t publisher =
+      open_publisher(&node, "current_command",
+                     ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, CurrentCommand));
+  enum { ENCODERS, STOP, SUBSCRIPTIONS };
+  rcl_subscription_t heard[SUBSCRIPTIONS] = {
+      open_subscription(&node, "encoders",
+                        ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Encoders)),
+      open_subscription(&node, "stop", ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Stop)),
+  };
   rcl_wait_set_t wait_set = rcl_get_zero_initialized_wait_set();
-  check(rcl_wait_set_init(&wait_set, 2, 0, 0, 0, 0, 0, &context, allocator), "wait set");
+  check(rcl_wait_set_init(&wait_set, SUBSCRIPTIONS, 0, 0, 0, 0, 0, &context,
+                          rcl_get_default_allocator()),
+        "wait set");
 
   waferbot_msgs__msg__Encoders counts;
   waferbot_msgs__msg__CurrentCommand answer;
@@ -143,27 +103,18 @@ int main(int argc, char **argv) {
   waferbot_msgs__msg__Encoders__init(&counts);
   waferbot_msgs__msg__CurrentCommand__init(&answer);
   waferbot_msgs__msg__Stop__init(&reason);
-  signal(SIGTERM, end);
-  signal(SIGINT, end);
 
   uint64_t next_tick = 0;
   int64_t spoke_ns = 0;
   while (!asked_to_end) {
-    check(rcl_wait_set_clear(&wait_set), "wait set");
-    check(rcl_wait_set_add_subscription(&wait_set, &encoders, NULL), "wait set");
-    check(rcl_wait_set_add_subscription(&wait_set, &stop, NULL), "wait set");
-    const rcl_ret_t waited = rcl_wait(&wait_set, REPEAT_AFTER_NS);
-    if (waited != RCL_RET_TIMEOUT) {
-      check(waited, "wait");
-    }
-    rcl_reset_error();
+    wait_for_messages(&wait_set, heard, SUBSCRIPTIONS);
     /* A sign of life; also for those who were not there before. What its peers repeat, who wait as well,
        wakes this node, too: so the time since it spoke counts, not that since it heard something. */
     if (next_tick > 0 && now_ns() - spoke_ns >= REPEAT_AFTER_NS) {
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
     }
-    while (rcl_take(&encoders, &counts, NULL, NULL) == RCL_RET_OK) {
+    while (take(&heard[ENCODERS], &counts)) {
       if (counts.tick != next_tick || counts.valid != 0xf) {
         continue; /* no servo tick, or a repetition */
       }
@@ -180,18 +131,16 @@ int main(int argc, char **argv) {
       spoke_ns = now_ns();
       next_tick += SERVO_TICKS;
     }
-    rcl_reset_error();
-    while (rcl_take(&stop, &reason, NULL, NULL) == RCL_RET_OK) {
+    while (take(&heard[STOP], &reason)) {
       fprintf(stderr, "pmac: %s stopped: %s\n", reason.node.data, reason.reason.data);
       asked_to_end = 1;
     }
-    rcl_reset_error();
   }
   check(rcl_wait_set_fini(&wait_set), "end");
-  check(rcl_subscription_fini(&stop, &node), "end");
-  check(rcl_subscription_fini(&encoders, &node), "end");
+  for (int i = 0; i < SUBSCRIPTIONS; ++i) {
+    check(rcl_subscription_fini(&heard[i], &node), "end");
+  }
   check(rcl_publisher_fini(&publisher, &node), "end");
-  check(rcl_node_fini(&node), "end");
-  check(rcl_shutdown(&context), "end");
+  end_node(&context, &node);
   return 0;
 }

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What peers in other languages are given, and how they are compared with ours."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import LONG_PATIENCE_S, Program, domain_of, run_engine, waferbot
+
+from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.contract import AXES, LOCKSTEP_TOPICS
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.plan import make_plan
+from waferbot_twin.recording.compare import differing_signals
+from waferbot_twin.recording.reader import read_recording
+
+SERVO = ('Ixx08', 'Ixx09', 'Ixx29', 'Ixx30', 'Ixx31', 'Ixx32', 'Ixx33', 'amplifier_peak_current')
+DRIVE = (
+    'commutation_encoder', 'counts_per_electrical_cycle', 'proportional', 'integral',
+    'bus_voltage', 'peak_limit', 'motor_line_resistance',
+)  # fmt: skip
+STEPS = (2500, 800, 1000)  # counts, as in the experiment `step`
+STEP_TICK = 360
+STATES = {'pmac': 'servo_state', 'copley': 'amplifier_state'}
+"""What only our own nodes say of themselves."""
+
+
+def pmac_arguments() -> list[str]:
+    """Return the numbers that a foreign PMAC takes: those of the rigid model."""
+    values = servo_parameters(_settings('pmac'))[0]
+    numbers: list[Any] = [STEP_TICK]
+    for place, counts in enumerate(STEPS):
+        numbers += [counts, *(values[name][place] for name in SERVO)]
+    return [str(number) for number in numbers]
+
+
+def copley_arguments() -> list[str]:
+    """Return the numbers that foreign amplifiers take: those of the rigid model."""
+    values = amplifier_parameters(_settings('copley'))[0]
+    return [str(values[name][place]) for place in range(len(AXES)) for name in DRIVE]
+
+
+def _settings(node: str) -> dict[str, Any]:
+    parameters = make_plan('rigid', 'step').model.parameters[node]
+    return {axis: parameters[axis] for axis in AXES}
+
+
+def check_same_bits(
+    start: Callable[..., Program],
+    folder: Path,
+    peers: dict[str, Sequence[str]],
+    duration_s: float,
+    layout: Sequence[str] = (),
+) -> None:
+    """Run the twin with foreign peers (node: command); compare with the run of ours, bit for bit."""
+    out = folder / 'run'
+    without = [word for node in peers for word in ('--without', node)]
+    twin = start(
+        'waferbot_twin', 'run', *without, '--duration', str(duration_s), '--out', str(out), *layout
+    )
+    environment = {
+        'ROS_DOMAIN_ID': str(domain_of(twin)),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }
+    strangers = {
+        node: Program(command, folder / f'{node}.log', environment)
+        for node, command in peers.items()
+    }
+    try:
+        code = twin.wait(LONG_PATIENCE_S)
+    finally:
+        for stranger in strangers.values():
+            stranger.process.terminate()
+        ends = {node: stranger.process.wait(10) for node, stranger in strangers.items()}
+    assert code == 0, twin.output + ''.join(one.output for one in strangers.values())
+    assert set(ends.values()) == {0}, ends
+    one = read_recording(out)
+    other = run_engine('inprocess', folder / 'ours', duration_s=duration_s)
+    for topic in LOCKSTEP_TOPICS:
+        np.testing.assert_array_equal(one[topic], other[topic], err_msg=topic.name)
+    assert len(one['current_command']) == round(2250 * duration_s)
+    unsaid = [STATES[node] for node in peers]
+    differing = differing_signals(one, other)
+    assert [name for name in differing if not any(state in name for state in unsaid)] == []
+
+
+def check_conformance(node: str, command: Sequence[str], forgiven: set[str]) -> None:
+    """Drive a peer through the conformance kit: right in everything, or passing over as it may."""
+    result = waferbot('conform', '--node', node, '--json', *command)
+    assert result.returncode == 0, result.stdout + result.stderr
+    grades = {one['check']: one['grade'] for one in json.loads(result.stdout)}
+    assert {check for check, grade in grades.items() if grade == 'tolerated'} == forgiven
+    assert set(grades.values()) == {'right', 'tolerated'}

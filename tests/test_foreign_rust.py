@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A PMAC in Rust that shares neither code, nor messages, nor the middleware with ours."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from foreign_peers import check_conformance, check_same_bits, pmac_arguments
+
+FOLDER = Path(__file__).parent / 'foreign_rust'
+BUILT = Path(__file__).parent.parent / 'build' / 'foreign_rust'
+FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silence'}
+
+# The first time, what it stands on is compiled: two minutes, more on a busy machine.
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+
+
+@pytest.fixture(scope='module')
+def pmac():
+    """The program, built as Cargo.lock says."""
+    cargo = shutil.which('cargo')
+    if cargo is None:
+        pytest.skip('no cargo')
+    environment = {**os.environ, 'CARGO_TARGET_DIR': str(BUILT)}
+    environment.pop('LD_LIBRARY_PATH', None)  # cargo brings libraries of its own
+    fetched = subprocess.run(
+        [cargo, 'fetch', '--locked'], cwd=FOLDER, env=environment, capture_output=True, text=True
+    )
+    if fetched.returncode:
+        pytest.skip(f'crates cannot be had: {fetched.stderr[-300:]}')
+    built = subprocess.run(
+        [cargo, 'build', '--release', '--locked', '--offline'],
+        cwd=FOLDER,
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert built.returncode == 0, built.stderr
+    return str(BUILT / 'release' / 'foreign-pmac')
+
+
+@pytest.mark.parametrize(
+    'layout', [(), ('--compose', 'plant,copley')], ids=['four processes', 'composed']
+)
+def test_a_pmac_in_rust_gives_the_same_bits_as_ours(pmac, tmp_path, start, layout):
+    check_same_bits(start, tmp_path, {'pmac': [pmac, *pmac_arguments()]}, 2.0, layout)
+
+
+def test_the_conformance_kit_finds_nothing_wrong_with_it(pmac):
+    check_conformance('pmac', [pmac, *pmac_arguments()], FORGIVEN)
