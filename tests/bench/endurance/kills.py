@@ -41,8 +41,8 @@ def one_kill(rng: random.Random, folder: Path) -> dict[str, Any]:
     """
     Kill a node at a tick; see what the run says, and what it leaves behind.
 
-    `ok`: within `WITHIN_S` the run has ended with an error that names the node and what of it never
-    came, no node is left, the recording can be read and has every tick up to its last one, and
+    `ok`: within `WITHIN_S` the run says an error that names the node and what of it never came; then it
+    ends, no node is left, the recording can be read and has every tick up to its last one, and
     nothing of Fast DDS is in /dev/shm that was not there before.
     """
     layout = rng.choice(sorted(LAYOUTS))
@@ -62,8 +62,11 @@ def one_kill(rng: random.Random, folder: Path) -> dict[str, Any]:
             seen.end()
         os.kill(children[victim], signal.SIGKILL)
         killed_s = time.monotonic()
-        code = program.wait(60.0)
+        while program.process.poll() is None and 'waferbot: error:' not in program.output:
+            time.sleep(0.01)
         row['error after [s]'] = round(time.monotonic() - killed_s, 2)
+        code = program.wait(60.0)
+        row['ended after [s]'] = round(time.monotonic() - killed_s, 2)
         left = [name for name, pid in children.items() if command_line(pid)]
     finally:
         program.end()
