@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""For all tests: linear algebra on one thread, as in every command; the same untimed examples each run."""
+"""For all tests: linear algebra on one thread, as in every command; examples untimed and repeatable."""
 
 import hypothesis
 

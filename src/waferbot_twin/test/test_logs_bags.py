@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import sqlite3
 
 import numpy as np
 import pytest
@@ -161,6 +162,19 @@ def test_a_recording_cut_off_or_damaged_is_used_up_to_there(
     assert 16 <= len(rows) <= COUNT - (not damage)
     told = str(log.findings)
     assert len(rows) == COUNT or 'cut off or damaged' in told or 'gaps in time' in told
+
+
+@pytest.mark.parametrize('time', ["'late'", 'null'])
+def test_a_message_of_a_database_whose_time_is_no_number_is_refused(tmp_path, time) -> None:
+    (file,) = joint_states(tmp_path / 'bag', plugin=StoragePlugin.SQLITE3).glob('*.db3')
+    with sqlite3.connect(file) as database:
+        database.execute('CREATE TABLE lax AS SELECT * FROM messages')
+        database.execute(f'UPDATE lax SET timestamp = {time} WHERE id = 7')
+        database.execute('DROP TABLE messages')
+        database.execute('ALTER TABLE lax RENAME TO messages')
+    database.close()
+    with pytest.raises(UserError, match='the time of a message of /joint_states is'):
+        load_log(tmp_path / 'bag')
 
 
 def test_a_file_that_is_no_recording(tmp_path) -> None:

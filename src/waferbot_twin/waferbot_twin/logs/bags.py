@@ -76,6 +76,10 @@ def read_bag(path: Path) -> Content:
                 content.messages[connection.topic] = []
                 content.log_times_ns[connection.topic] = []
             for connection, time_ns, data in reader.messages():
+                if not isinstance(time_ns, int):  # SQLite keeps anything in a column of numbers
+                    raise AnyReaderError(
+                        f'the time of a message of {connection.topic} is {time_ns!r}'
+                    )
                 content.messages[connection.topic].append(bytes(data))
                 content.log_times_ns[connection.topic].append(time_ns)
     # rosbags, SQLite and the decompressors raise many kinds of errors on a broken file.
