@@ -14,9 +14,9 @@ With the other effects in the model, the posterior of one of them is
 
 and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`), from fits through
 the simulation for every candidate that the linear problem puts within reach. Effects are added as
-long as one is more probable than none; then each is asked for anew beside all others, as often as
-one changes: an early choice is revised when the others are known. A candidate is a name
-(`effect:axis`) with the prior pi_j; of its trials the best stands for it.
+long as one is so probable that a name is worth its risk (`settings`); then each is asked for anew
+beside all others, as often as one changes: an early choice is revised when the others are known. A
+candidate is a name (`effect:axis`) with the prior pi_j; of its trials the best stands for it.
 
 What no physical cause explains competes with them: forces over speed and position of an axis
 without a name (`discrepancy`).
@@ -241,7 +241,7 @@ def _evident(
 
 
 def _included(effect: SingleEffect, settings: Settings) -> bool:
-    """Return whether an effect is there; where no log tells, odds are even but for rounding."""
+    """Return whether an effect is there, beyond rounding."""
     return effect.inclusion > settings.named_from + ROUNDING
 
 
