@@ -159,8 +159,9 @@ def _mark(
             _mark(loader, value_node, inner, source, places)
     elif isinstance(node, yaml.SequenceNode):
         for place, item in enumerate(node.value):
-            places[(*key, place)] = source, item.start_mark.line + 1
-            _mark(loader, item, (*key, place), source, places)
+            entry = (*key, place)
+            places[entry] = source, item.start_mark.line + 1
+            _mark(loader, item, entry, source, places)
     elif node.tag == 'tag:yaml.org,2002:int' and abs(loader.construct_object(node)) > LARGEST:
         line = node.start_mark.line + 1
         raise UserError(f'{source}, line {line}: {key_text(key)}: {node.value[:20]} is too large')

@@ -42,7 +42,7 @@ def urdf(
     ElementTree.SubElement(robot, 'link', name=WORLD)
     ElementTree.SubElement(robot, 'link', name=BASE)
     _joint(robot, 'machine_to_ros', 'fixed', WORLD, BASE, (0.0, 0.0, 0.0), (math.pi / 2, 0.0, 0.0))
-    place = {BASE: np.zeros(3)}
+    place: dict[str, np.ndarray] = {BASE: np.zeros(3)}
     pending = list(description.joints.values())
     while pending:
         joint = next(joint for joint in pending if joint.parent in place)

@@ -69,7 +69,7 @@ class Thinned:
         self._stretch = 1
         self._kept: list[tuple[Array, Array]] = []
         self._count = 0
-        self._pending = (np.zeros(0), np.zeros(0))
+        self._pending: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
 
     def add(self, time_s: Array, values: Array) -> None:
         """Add samples (n,) that follow those before."""

@@ -300,7 +300,7 @@ class _Program:
     def __init__(self, experiment: Experiment, parameters: np.ndarray) -> None:
         self.experiment = experiment
         self.motors = [_Motor(parameters, axis) for axis in AXES]
-        self.position = np.zeros(len(AXES))
+        self.position: Floats = np.zeros(len(AXES))
         self.time_s = 0.0
 
     def run(self, times: Floats, result: Floats) -> None:

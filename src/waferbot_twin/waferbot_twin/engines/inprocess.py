@@ -191,7 +191,7 @@ class Twin:
         self.amplifier_parameters = amplifier_parameters(copley, timing, source)
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
         self.commanded = np.zeros((1, len(AXES)))
-        self.offsets = np.zeros((1, len(AXES)))
+        self.offsets: np.ndarray = np.zeros((1, len(AXES)))
         self.tick = 0
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)

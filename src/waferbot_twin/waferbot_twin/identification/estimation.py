@@ -82,7 +82,7 @@ def estimate(
     Raises `UserError` if nothing in the logs shows any of them, or if the model cannot be simulated
     with the values that it begins with.
     """
-    scaled = np.zeros(len(parameters))
+    scaled: Array = np.zeros(len(parameters))
     before = after = evaluate(problem, _causes(parameters, scaled))
     settled = False
     for done in range(ROUNDS):

@@ -131,7 +131,8 @@ def _begin(variant: Variant, record: Record, per_unit: Array) -> Begin:
     for place in range(len(AXES)):
         if np.isfinite(record.reading[:, place]).any():
             position[place], velocity[place] = record.first_motion(place, BEGIN_S, 2)
-    integral, current = np.zeros(len(AXES)), np.zeros(len(AXES))
+    integral: Array = np.zeros(len(AXES))
+    current: Array = np.zeros(len(AXES))
     if record.has_controller and record.command is not None:
         integral = DescribedControllerBlock(record, variant).first_integral(variant)
         current = np.nan_to_num(record.command[0])

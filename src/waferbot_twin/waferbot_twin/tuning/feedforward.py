@@ -90,7 +90,7 @@ def machine_tables(
         if axis not in travel:
             continue
         low, high = travel[axis]
-        at = np.linspace(low, high, _points(variant, axis, high - low))
+        at = np.linspace(low, high, _points(variant, axis, high - low), dtype=np.float64)
         still = np.zeros((len(at), len(dynamics.axes)))
         position = still.copy()
         position[:, column] = at

@@ -148,8 +148,7 @@ class ViewContent:
 
 def _picture_times(duration_s: float) -> Vector:
     pictures = min(max(int(duration_s / PICTURE_S), 1) + 1, MOST_PICTURES)
-    times: Vector = np.linspace(0.0, duration_s, pictures)
-    return times
+    return np.linspace(0.0, duration_s, pictures, dtype=np.float64)
 
 
 def _means(time_s: Vector, values: Vector, at_s: Vector) -> Vector:
