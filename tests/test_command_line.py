@@ -81,6 +81,13 @@ def test_plot_draws_a_picture(short_run, tmp_path):
     result = waferbot('plot', str(short_run), '--out', str(picture))
     assert result.returncode == 0, result.stderr
     assert picture.read_bytes().startswith(b'\x89PNG')
+    picture.write_bytes(b'of somebody else')
+    refused = waferbot('plot', str(short_run), '--out', str(picture))
+    assert refused.returncode == 1
+    assert 'exists already; choose another file or give --force' in refused.stderr
+    assert picture.read_bytes() == b'of somebody else'
+    assert waferbot('plot', str(short_run), '--out', str(picture), '--force').returncode == 0
+    assert picture.read_bytes().startswith(b'\x89PNG')
 
 
 MISTAKES = {

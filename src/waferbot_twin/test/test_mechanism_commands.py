@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,9 @@ def test_pictures_are_drawn(tmp_path: Path) -> None:
     modes, mechanism = tmp_path / 'new' / 'modes.png', tmp_path / 'mechanism.svg'
     assert main(['modes', '--plot', str(modes), '--draw', str(mechanism)]) == 0
     assert modes.read_bytes()[:4] == b'\x89PNG'
+    width, height = struct.unpack('>II', modes.read_bytes()[16:24])
+    assert 800 <= width <= 1920, 'as wide as a screen at most'
+    assert 400 <= height <= 1080
     assert '<svg' in mechanism.read_text('utf-8')
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -116,6 +117,23 @@ def test_what_info_says_is_what_is_there(run) -> None:
     assert told['ticks'] == recording.ticks == 7200
     counts = {topic['name']: topic['messages'] for topic in told['topics']}
     assert counts == recording.counts
+
+
+def test_info_needs_no_more_memory_for_a_longer_recording(run, tmp_path) -> None:
+    arguments = ['--duration', '1.6', '--model', 'rigid', '--out', str(tmp_path / 'long')]
+    assert main(['run', '--engine', 'inprocess', *arguments]) == 0
+    peaks = {}
+    for path in (run, tmp_path / 'long'):
+        describe(path)  # what is kept from the first time on is there now
+        tracemalloc.start()
+        try:
+            assert describe(path)['closed']
+            peaks[path] = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    size = recording_file(tmp_path / 'long').stat().st_size
+    assert max(peaks.values()) < 0.5 * size, 'the file is held as a whole'
+    assert peaks[tmp_path / 'long'] < 1.25 * peaks[run]
 
 
 @pytest.mark.parametrize('pieces', [1, 7, 200])
