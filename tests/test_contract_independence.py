@@ -44,14 +44,10 @@ def test_blocks_never_import_one_another_or_the_twin(package):
         assert not imported(path) & others, path
 
 
-OF_THE_NODE = ('node.py', 'simulation_services.py')
-"""The node, and the services that it has beside its topics."""
-
-
 @pytest.mark.parametrize('package', BLOCKS)
 def test_model_files_import_no_ros(package):
     for path in sources(package):
-        if path.name not in OF_THE_NODE:
+        if path.name != 'node.py':
             assert not imported(path) & ROS, path
 
 

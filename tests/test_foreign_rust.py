@@ -30,6 +30,8 @@ def pmac():
     fetched = subprocess.run(
         [cargo, 'fetch', '--locked'], cwd=FOLDER, env=environment, capture_output=True, text=True
     )
+    # Without a network there are no crates. A Cargo.lock that does not fit is a mistake of ours.
+    assert 'lock file' not in fetched.stderr, fetched.stderr
     if fetched.returncode:
         pytest.skip(f'crates cannot be had: {fetched.stderr[-300:]}')
     built = subprocess.run(

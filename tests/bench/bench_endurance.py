@@ -57,10 +57,12 @@ def main() -> int:
     parser.add_argument('--out', type=Path, default=Path('bench-results/endurance.jsonl'))
     options = parser.parse_args()
     options.out.parent.mkdir(parents=True, exist_ok=True)
-    seconds = 60.0 * options.minutes
+
+    def lossy(rng: random.Random, folder: Path) -> dict[str, Any]:
+        return losses(60.0 * options.minutes, rng.randrange(2**31), folder)
+
     cases: list[tuple[str, int, Callable[[random.Random, Path], dict[str, Any]]]] = [
-        *(('losses', 0, lambda rng, folder: losses(seconds, rng.randrange(2**31), folder)),)
-        * (seconds > 0.0),
+        *(('losses', number, lossy) for number in range(options.minutes > 0.0)),
         *(('kills', number, one_kill) for number in range(options.kills)),
         *(('starts', number, one_start) for number in range(options.starts)),
     ]

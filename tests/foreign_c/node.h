@@ -70,6 +70,14 @@ static rcl_subscription_t open_subscription(const rcl_node_t *node, const char *
   return subscription;
 }
 
+static rcl_wait_set_t open_wait_set(rcl_context_t *context, size_t subscriptions) {
+  rcl_wait_set_t wait_set = rcl_get_zero_initialized_wait_set();
+  check(rcl_wait_set_init(&wait_set, subscriptions, 0, 0, 0, 0, 0, context,
+                          rcl_get_default_allocator()),
+        "wait set");
+  return wait_set;
+}
+
 /* Wait until one of the subscriptions has a message, or until a sign of life may be due. */
 static void wait_for_messages(rcl_wait_set_t *wait_set, const rcl_subscription_t *subscriptions,
                               int count) {

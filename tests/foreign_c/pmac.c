@@ -92,10 +92,7 @@ int main(int argc, char **argv) {
                         ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Encoders)),
       open_subscription(&node, "stop", ROSIDL_GET_MSG_TYPE_SUPPORT(waferbot_msgs, msg, Stop)),
   };
-  rcl_wait_set_t wait_set = rcl_get_zero_initialized_wait_set();
-  check(rcl_wait_set_init(&wait_set, SUBSCRIPTIONS, 0, 0, 0, 0, 0, &context,
-                          rcl_get_default_allocator()),
-        "wait set");
+  rcl_wait_set_t wait_set = open_wait_set(&context, SUBSCRIPTIONS);
 
   waferbot_msgs__msg__Encoders counts;
   waferbot_msgs__msg__CurrentCommand answer;

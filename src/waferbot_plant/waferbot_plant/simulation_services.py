@@ -21,8 +21,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rclpy.task import Future
-
+from waferbot_lockstep.late_answers import Future, answer_later
 from waferbot_lockstep.node_settings import REALTIME
 
 if TYPE_CHECKING:
@@ -156,21 +155,3 @@ class SimulationServices:
         response.result.result = code
         response.result.error_message = message
         return response
-
-
-def answer_later(service: Any) -> None:
-    """
-    Let the callback of a service return a `Future` of its response.
-
-    The events executor of rclpy (Jazzy) does not wait for callbacks that are coroutines. Every
-    executor hands what the callback returns to `Service.send_response`, so that waits here.
-    """
-    send = service.send_response
-
-    def send_when_done(answer: Any, header: Any) -> None:
-        if isinstance(answer, Future):
-            answer.add_done_callback(lambda done: send(done.result(), header))
-        else:
-            send(answer, header)
-
-    service.send_response = send_when_done

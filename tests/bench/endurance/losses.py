@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import time
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 from harness import Program, start_node
 
 from endurance.starts import starter
-from endurance.watching import Onlooker, ended
+from endurance.watching import Onlooker, ended, interrupted
 from waferbot_copley.faults import NAMES
 from waferbot_twin.engines.domain import Domain
 
@@ -64,9 +63,7 @@ def losses(seconds: float, seed: int, folder: Path) -> dict[str, Any]:
         told = {name: seen.told('copley', f'current_command {name}') for name in COUNTS}
         said = seen.statuses['copley'].message if 'copley' in seen.statuses else ''
         done = json.loads(controller.output.splitlines()[0]) if heard and not troubles else {}
-        for program in nodes.values():
-            program.signal(signal.SIGINT)
-        codes = {name: program.wait(20.0) for name, program in nodes.items()}
+        codes = interrupted(nodes)
     finally:
         seen.end()
         for program in nodes.values():

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import random
-import signal
 import sys
 import time
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from typing import Any
 
 from harness import Program, start_node
 
-from endurance.watching import Onlooker, ended
+from endurance.watching import Onlooker, ended, interrupted
 from waferbot_twin.engines.domain import Domain
 
 NODES = ('plant', 'pmac', 'copley')
@@ -52,9 +51,7 @@ def one_start(rng: random.Random, folder: Path) -> dict[str, Any]:
         came = seen.wait(lambda: min(seen.tick.values()) > FAR_ENOUGH, WITHIN_S)
         took_s = time.monotonic() - begun_s
         troubles = ended(nodes)
-        for program in nodes.values():
-            program.signal(signal.SIGINT)
-        codes = {name: program.wait(20.0) for name, program in nodes.items()}
+        codes = interrupted(nodes)
     finally:
         seen.end()
         for program in nodes.values():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable
 
@@ -64,3 +65,10 @@ def ended(programs: dict[str, Program]) -> dict[str, str]:
         for name, program in programs.items()
         if program.process.poll() is not None
     }
+
+
+def interrupted(programs: dict[str, Program]) -> dict[str, int]:
+    """End programs by SIGINT; return their exit codes, by their names."""
+    for program in programs.values():
+        program.signal(signal.SIGINT)
+    return {name: program.wait(20.0) for name, program in programs.items()}

@@ -234,7 +234,7 @@ def _evident(
             evidence = log_evidence(problem, more, base, pool.settings.prior_scales)
             odds.append(evidence + effect.best.log_prior)
         worst = int(np.argmin(odds))
-        if odds[worst] > 0.0:
+        if odds[worst] > _least_odds(pool.settings):
             break
         found, _ = _without(problem, found, (), left.pop(worst).best.cause.name)
     return found, [*effects, *left]
@@ -243,6 +243,11 @@ def _evident(
 def _included(effect: SingleEffect, settings: Settings) -> bool:
     """Return whether an effect is there, beyond rounding."""
     return effect.inclusion > settings.named_from + ROUNDING
+
+
+def _least_odds(settings: Settings) -> float:
+    """Return ln of the odds from which on a cause is named."""
+    return math.log(settings.named_from / (1.0 - settings.named_from))
 
 
 def _without(
@@ -264,7 +269,7 @@ def _feigned(
     command, too. So it is asked last, when no further cause is found.
     """
     problem, settings = pool.problem, pool.settings
-    worst, name = 0.0, None
+    worst, name = _least_odds(settings), None
     for effect in effects:
         cause = effect.best.cause
         base, _ = _without(problem, found, (), cause.name)
