@@ -149,13 +149,8 @@ def diagnose(
     coloured = problem.with_coloured_forces()
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
     posterior = infer(CandidatePool(coloured, effects, settings, progress, workers))
-    fitted_in = problem
+    posterior = posterior.fitted_to(problem)
     to_estimate = Problem(nominal, estimation).with_prior(paths)
-    if any(is_nuisance(cause) for cause in posterior.found.causes):
-        # A prior and the logs weigh right beside each other only where the noise has the right size.
-        fitted_in, to_estimate = coloured, to_estimate.with_coloured_forces()
-    else:
-        posterior = posterior.fitted_to(problem)
     kept, refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
         fitted_to(to_estimate, posterior.found.causes),
@@ -172,10 +167,11 @@ def diagnose(
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
         for cause in extension.withdrawn
     ]
+    notes += _in_doubt(posterior)
     withdrawn = [*refuted, *extension.withdrawn]
-    posterior = posterior.without(fitted_in, [cause.name for cause in withdrawn])
+    posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
-    causes = _found_causes(fitted_in, posterior, settings)
+    causes = _found_causes(problem, posterior, settings)
     corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
     extended = apply_all(nominal, [*corrected, *(item.cause for item in causes)])
     notes += _stands_for(extended, [item.cause for item in causes])
@@ -261,6 +257,18 @@ def _credible_set(
         for one in members
         if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
     )
+
+
+def _in_doubt(posterior: Posterior) -> list[str]:
+    """Say what may lack, but not so probably that it is named."""
+    if posterior.doubtful is None:
+        return []
+    members = [
+        f'{one.cause.name} with probability {one.probability:.2f}'
+        for one in posterior.doubtful.credible_set(0.5)
+        if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
+    ]
+    return [f'{" or ".join(members)} may lack, too little to be named'] if members else []
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:

@@ -25,7 +25,9 @@ frequency, has no size: its prior has the width of what is possible, so that who
 frequencies pays for it. Parameters with a usual spread s have their prior in the fit already
 (`residuals.prior_block`), and with it in G and V; what is left of (2) is
 
-    ln BF = G + 1/2 ln |V| - sum over them of ln s.                                               (3)
+    ln BF = G + 1/2 ln |V| - sum over n of them of ln s + c(n),                                   (3)
+
+c that of `residuals.prior_block`.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.prior_block import log_normaliser
+from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
 SMALLEST = 1e-12
@@ -74,6 +77,9 @@ def _seen_from(
     """Return equation (1) with the noise that `this` leaves, channel by channel of every block."""
     found: list[float] = []
     for block, fit in this.fits.items():
+        if block == PRIOR:
+            found.append(fit.log_likelihood - other.fits[block].log_likelihood)
+            continue
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
         changes = [one - two for one, two in zip(before, left, strict=True)]
@@ -103,7 +109,7 @@ def log_occam(
         return 0.0
     if all(item.spread > 0.0 for item in parameters):
         spreads = np.array([item.spread for item in parameters])
-        return _half_log_det(spread / np.outer(spreads, spreads))
+        return _half_log_det(spread / np.outer(spreads, spreads)) + log_normaliser(len(spreads))
     away, sizes, widths = [], [], []
     for item in parameters:
         value = cause.values[item.name]

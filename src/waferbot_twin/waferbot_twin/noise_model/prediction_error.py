@@ -57,15 +57,13 @@ class Noise:
     `beside` says how many places further on in the list of channels that one is with which it makes
     a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
     the same times. With `shapes` the spectrum of a channel by itself is a sum of those
-    (`variance_components`), not any one. With `known` the standard deviation is the floor itself,
-    whatever is left over.
+    (`variance_components`), not any one.
     """
 
     floor: float
     order: int
     beside: int = 0
     shapes: Shapes | None = None
-    known: bool = False
 
     def alone(self) -> Noise:
         """Return the noise of the channel by itself."""
@@ -250,9 +248,6 @@ def _colours(
             found.append(known[place])
             continue
         error = _prediction_error(left, place, noise)
-        if noise.known:
-            found.append(Colour(error, noise.floor))
-            continue
         square = float(np.mean(error(left, place) ** 2))
         found.append(Colour(error, max(math.sqrt(square), noise.floor)))
     return found

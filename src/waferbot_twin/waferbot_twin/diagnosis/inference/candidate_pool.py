@@ -57,7 +57,8 @@ class CandidatePool:
     """
     The candidates in logs, with all that has been found out about them.
 
-    `names` has every `effect:axis` among the candidates for a cause, once.
+    `names` has every `effect:axis` among the candidates for a cause, once; `dense` is the effect of
+    many small deviations, which is fitted each time: a linear problem says little of so many.
     """
 
     def __init__(
@@ -71,9 +72,10 @@ class CandidatePool:
         """Take the logs of `problem`, and every one of `effects` that they could show."""
         self.problem, self.effects, self.settings = problem, effects, settings
         self.progress, self.workers = progress, workers
-        self._candidates = candidates(problem, effects)
-        every = (cause.name for cause in self._candidates if not is_nuisance(cause))
-        self.names: list[str] = list(dict.fromkeys(every))
+        every = candidates(problem, effects)
+        self.dense = [cause for cause in every if is_nuisance(cause)]
+        self._candidates = [cause for cause in every if not is_nuisance(cause)]
+        self.names: list[str] = list(dict.fromkeys(cause.name for cause in self._candidates))
         self._beside: Sequence[Cause] = ()
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
@@ -126,6 +128,7 @@ class CandidatePool:
     def leave_out(self, name: str) -> None:
         """Take a candidate out."""
         self._candidates = [cause for cause in self._candidates if cause.name != name]
+        self.dense = [cause for cause in self.dense if cause.name != name]
 
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""

@@ -2,15 +2,18 @@
 """
 Nuisance parameters: what every machine has a little different from its model.
 
-Masses, inertias, force constants and frictions are never exactly those of the data sheets. Together
-they are one dense effect beside the sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics
-9, 2013: sparse effects and many small ones), each with the prior
+Masses, inertias, force constants and frictions are never exactly those of the data sheets, and every
+axis has some friction and some constant force that no drawing shows. Together they are one dense effect
+beside the sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and
+many small ones), each with the prior
 
-    p = p_0 (1 + x),    x ~ N(0, s^2),    s the usual spread of its kind,                          (1)
+    p = p_0 + c x,    x ~ N(0, s^2),    s the usual spread of its kind,                            (1)
 
-a part of every fit (`residuals.prior_block`). It competes with the causes as a whole: where one thing
-alone is wrong, that is far more probable than many which happen to look like it; where all are a
-little off, no one of them is a cause. A parameter becomes a cause, beside the dense effect, only
+a part of every fit (`residuals.prior_block`). c is p_0 for what a data sheet has; for Coulomb
+friction, viscous friction and a constant force on an axis p_0 is 0, c 1 and s what is typical of such a
+cause there. The dense effect competes with the causes as a whole: where one thing alone is wrong, that
+is far more probable than many which happen to look like it; where all are a little off, no one of them
+is a cause. A parameter becomes a cause, beside the dense effect, only
 where it is further off than (1) has it.
 """
 
@@ -26,7 +29,7 @@ from waferbot_plant.description_drives import FORCE_KEYS
 from waferbot_plant.motors import force_constant
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.effects import places
+from waferbot_twin.effects import find, frictions, places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of, standard_errors
@@ -44,7 +47,8 @@ class Number:
     """
     One number of a description: section, name and key where it stands, and its usual spread.
 
-    `words` and `unit` are for the report; `value` what the model has there.
+    `words` and `unit` are for the report; `value` is what the model has there. A `resistance` cannot be
+    less than nothing.
     """
 
     section: str
@@ -54,6 +58,20 @@ class Number:
     words: str
     unit: str
     value: float
+    resistance: bool = False
+
+    @property
+    def per_x(self) -> float:
+        """The c of equation (1)."""
+        return self.value or 1.0
+
+    @property
+    def room(self) -> tuple[float, float]:
+        """How far x can go down and up."""
+        most = SPREADS * self.spread
+        if self.value:
+            return -min(MOST, most), min(MOST, most)
+        return (0.0 if self.resistance else -most), most
 
     @property
     def path(self) -> str:
@@ -67,6 +85,11 @@ def numbers(variant: Variant, settings: Settings) -> list[Number]:
         *_of_bodies(variant, settings),
         *_of_motors(variant, settings),
         *_of_frictions(variant, settings),
+        *(
+            item
+            for axis in places.motor_axes(variant)
+            for item in _that_no_drawing_shows(variant, axis)
+        ),
     ]
 
 
@@ -102,11 +125,12 @@ def _of_motors(variant: Variant, settings: Settings) -> list[Number]:
         key = f'back_emf_lead_to_lead_v_s_{"rad" if turns else "m"}'
         if motor.by_force:
             key = FORCE_KEYS[turns]
+        value = force_constant(motor)
         found.append(
             Number(
                 'motors', axis, key, settings.spread_of_force_constants,
                 f'{"torque" if turns else "force"} constant of {axis}',
-                'Nm/A' if turns else 'N/A', force_constant(motor),
+                'Nm/A' if turns else 'N/A', value,
             )
         )  # fmt: skip
     return found
@@ -136,6 +160,24 @@ def _of_frictions(variant: Variant, settings: Settings) -> list[Number]:
     return found
 
 
+def _that_no_drawing_shows(variant: Variant, axis: str) -> list[Number]:
+    """Return friction and a constant force of an axis, as much as is typical of such causes."""
+    found = []
+    for effect, section, words in (
+        ('coulomb_friction', 'frictions', f'Coulomb friction of {axis}, beside that of the model'),
+        ('viscous_friction', 'dampers', f'viscous friction of {axis}, beside that of the model'),
+        ('constant_force', 'disturbances', f'constant force on {axis}'),
+    ):
+        (size,) = find(effect).parameters(variant, axis)
+        found.append(
+            Number(
+                section, f'{axis}_usual', axis, size.typical, words, size.unit, 0.0,
+                resistance=size.low == 0.0,
+            )
+        )  # fmt: skip
+    return found
+
+
 def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]]:
     """Return the dense effect of a machine, on its first axis with a motor, and its numbers."""
     known = numbers(variant.base, settings)
@@ -145,16 +187,19 @@ def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]
 
     def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         return tuple(
-            Parameter(item.path, '', 0.0, item.spread, -most, most, item.words, spread=item.spread)
+            Parameter(item.path, '', 0.0, item.spread, *item.room, item.words, spread=item.spread)
             for item in known
-            for most in (min(MOST, SPREADS * item.spread),)
         )
 
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         machine: dict[str, dict[str, dict[str, Any]]] = {}
         for item in known:
-            entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
-            entry[item.key] = _scaled(variant, item, 1.0 + values[item.path])
+            section, value = machine.setdefault(item.section, {}), values[item.path]
+            if item.value:
+                entry = section.setdefault(item.name, {})
+                entry[item.key] = _scaled(variant, item, 1.0 + value)
+            else:
+                section.update(_added(variant, item, value)[item.section])
         deviations = {item.path: values[item.path] / item.spread for item in known}
         return Overlay(machine, deviations=deviations)
 
@@ -170,6 +215,17 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
         return places.tensor_entries(variant.description.bodies[item.name].inertia * ratio)
     entry = variant.machine[item.section][item.name]
     return ratio * float(places.plain(variant, entry.get(item.key, 1.0)))
+
+
+def _added(variant: Variant, item: Number, value: float) -> dict[str, Any]:
+    """Return the part of a description that has so much of what no drawing shows."""
+    axis = item.key
+    if item.section == 'frictions':
+        return frictions.slot(variant, axis, frictions.USUAL, [0.0], [value])
+    if item.section == 'dampers':
+        return frictions.damper(variant, axis, frictions.USUAL, value)
+    force = {'kind': 'constant', places.force_key(variant, axis): value}
+    return places.disturbance(variant, axis, frictions.USUAL, force)
 
 
 def is_nuisance(cause: Cause) -> bool:
@@ -195,7 +251,7 @@ def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> lis
                     abs(value) / item.spread,
                     Correction(
                         item.words, item.path, item.unit, item.value,
-                        *(item.value * (1.0 + x) for x in (value, value - reach, value + reach)),
+                        *(item.value + item.per_x * x for x in (value - reach, value + reach)),
                     ),
                 )
             )  # fmt: skip

@@ -41,8 +41,8 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.refit import refit, released, within_reach
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.proposals.screening import Screened
-from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
+from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
 from waferbot_twin.estimation.gauss_newton import fit_causes, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
@@ -107,12 +107,17 @@ class SingleEffect:
 
 @dataclass(frozen=True)
 class Posterior:
-    """All effects, and the hypothesis with the best of each in the same order; `nothing` without."""
+    """
+    All effects, and the hypothesis with the best of each in the same order; `nothing` without.
+
+    `doubtful` is one more effect that is more probable than none, but not enough to be one of them.
+    """
 
     nothing: Hypothesis
     found: Hypothesis
     effects: tuple[SingleEffect, ...]
     tried: int
+    doubtful: SingleEffect | None = None
 
     def share(self, problem: Problem, place: int) -> float:
         """
@@ -163,27 +168,100 @@ def infer(pool: CandidatePool) -> Posterior:
 
     Raises `UserError` if the nominal model does not run in their motions.
     """
-    nothing = found = evaluate(pool.problem)
+    nothing = evaluate(pool.problem)
     pool.begin(nothing)
-    effects: list[SingleEffect] = []
-    most = pool.settings.most_asked
+    best = _search(pool, nothing, [], pool.settings.most_asked)
+    for dense in _dense(pool, nothing, best):
+        other = _search(pool, dense.best.found, [dense], best.left)
+        if _odds_against(pool, other.found, best.found) > 0.0:
+            best = other
+    last = best.last
+    doubtful = last if last is not None and last.inclusion > 0.5 + ROUNDING else None
+    return Posterior(nothing, best.found, tuple(best.effects), len(pool.names), doubtful)
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """
+    Where a search was left: its effects, and `last` what it asked for last and did not include.
+
+    `left` is how often it might still have asked.
+    """
+
+    found: Hypothesis
+    effects: list[SingleEffect]
+    last: SingleEffect | None
+    left: int
+
+
+def _search(
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
+) -> _Searched:
+    """Add effects to some, and ask for all of them anew, until none is added, changed or feigned."""
     while True:
-        found, effects, asked = _ask_on(pool, found, effects, most)
+        found, effects, asked, last = _ask_on(pool, found, effects, most)
         most -= asked
-        found, effects = _ask_again(pool, found, effects, most)
+        found, effects, asked = _ask_again(pool, found, effects, most)
+        most -= asked
         feigned = _feigned(pool, found, effects)
         if feigned is None:
-            break
+            return _Searched(found, effects, last, most)
         pool.leave_out(feigned)
         found, effects = _without(pool.problem, found, effects, feigned)
-    return Posterior(nothing, found, tuple(effects), len(pool.names))
+
+
+def _dense(pool: CandidatePool, nothing: Hypothesis, first: _Searched) -> list[SingleEffect]:
+    """
+    Return the dense effect for a second search to begin with, if the first one has a place for it.
+
+    Where most parameters are off, a search that adds one cause at a time goes wrong: whichever comes
+    first takes what many small ones leave over, and they find nothing any more. So a second one begins
+    with all of these, where the first has found them, or where beside its causes they would be more
+    probable than none in noise of known power. The more probable result counts.
+    """
+    begun = []
+    for cause in pool.dense:
+        there = any(one.name == cause.name for one in first.found.causes)
+        beside = [
+            one
+            for one in (first.last.members if first.last else ())
+            if one.cause.name == cause.name
+        ]
+        if not there and not any(
+            _ahead(pool.problem, first.found, SingleEffect((one,), 0.0)) for one in beside
+        ):
+            continue
+        found = _fitted(pool.problem, (cause,))
+        if found is not None:
+            evidence = log_evidence(pool.problem, found, nothing, pool.settings.prior_scales)
+            member = Member(found, evidence, pool.log_prior(cause), probability=1.0)
+            begun.append(SingleEffect((member,), 0.0))
+    return begun
+
+
+def _odds_against(pool: CandidatePool, this: Hypothesis, other: Hypothesis) -> float:
+    """Return ln of the posterior odds of a hypothesis with all its causes against another one."""
+    occam = [
+        sum(
+            pool.log_prior(cause)
+            + log_occam(
+                cause,
+                parameters_of(pool.problem, cause),
+                spread_of(pool.problem, one, place),
+                pool.settings.prior_scales,
+            )
+            for place, cause in enumerate(one.causes)
+        )
+        for one in (this, other)
+    ]
+    return gain(this, other) + occam[0] - occam[1]
 
 
 def _ask_on(
     pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
-) -> tuple[Hypothesis, list[SingleEffect], int]:
+) -> tuple[Hypothesis, list[SingleEffect], int, SingleEffect | None]:
     """
-    Add effects as long as one is more probable than none; return how often was asked, too.
+    Add effects as long as one is included; return how often was asked, too, and what was found last.
 
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
@@ -192,6 +270,7 @@ def _ask_on(
     """
     asked, effects = 0, list(effects)
     tentative: list[SingleEffect] = []
+    last: SingleEffect | None = None
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
@@ -202,9 +281,10 @@ def _ask_on(
             best = ahead
             tentative.append(SingleEffect((ahead,), effect.none))
         else:
+            last = effect
             break
         found = _fitted(pool.problem, best.found.causes) or best.found
-    return *_evident(pool, found, effects, tentative), asked
+    return *_evident(pool, found, effects, tentative), asked, last
 
 
 def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
@@ -299,16 +379,21 @@ def _with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
 
 def _ask_again(
     pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
-) -> tuple[Hypothesis, list[SingleEffect]]:
-    """Ask for every effect anew beside all others until none changes, so many times at `most`."""
+) -> tuple[Hypothesis, list[SingleEffect], int]:
+    """
+    Ask for every effect anew beside all others until none changes, so many times at `most`.
+
+    Return how often was asked, too.
+    """
+    left = most
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
             name = effect.best.cause.name
             settled = len(effect.members) > 1 and not _bent(pool, found, name)
-            if most <= 0 or settled:
+            if left <= 0 or settled:
                 continue
-            most -= 1
+            left -= 1
             present = next(cause for cause in found.causes if cause.name == name)
             others = tuple(cause for cause in found.causes if cause.name != name)
             base = _fitted(pool.problem, others)
@@ -328,7 +413,7 @@ def _ask_again(
             break
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
-    return found, effects
+    return found, effects, most - left
 
 
 def _bent(pool: CandidatePool, found: Hypothesis, name: str) -> bool:
@@ -369,6 +454,8 @@ def _ask(
         best = screened[0].likelihood if screened else 0.0
         screened.insert(0, Screened(present, best, np.zeros(present.free), best))
     chosen = within_reach(problem, screened, settings)
+    there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
+    chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
     known = pool.signatures_of(base)
     fitted = refit(problem, base, chosen, known, pool.progress, pool.workers)
     fitted += [free for one in fitted if (free := released(problem, one)) is not None]
