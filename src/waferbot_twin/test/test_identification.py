@@ -210,6 +210,9 @@ class LinearProblem(Problem):
     def touched(self, effect, axis):
         return (PLANT,)
 
+    def between(self, one, other):
+        return (PLANT,)
+
     def residuals(self, variant, block):
         values = np.array([variant.values[name] for name in sorted(variant.values)])
         return [self._measured - self._matrix @ values]

@@ -45,12 +45,28 @@ def diagnosis():
     other = Cause(find('viscous_friction'), 'x_rotate', {'damping': 0.3})
     parameters = effect.parameters(nominal, 'x_rotate')
     members = Alternative(cause, 0.9), Alternative(other, 0.08)
-    found = FoundCause(cause, parameters, {'friction': (1.4, 1.6)}, 0.9, members, 50.0, 0.75)
+    found = FoundCause(cause, parameters, {'friction': (1.4, 1.6)}, 0.98, 0.9, members, 50.0, 0.75)
+    maybe = Cause(
+        find('stribeck_friction'),
+        'y_linear',
+        find('stribeck_friction').typical(nominal, 'y_linear'),
+    )
+    possible = FoundCause(
+        maybe,
+        maybe.effect.parameters(nominal, 'y_linear'),
+        {},
+        0.7,
+        0.66,
+        (Alternative(maybe, 0.66),),
+        2.0,
+        0.01,
+    )
     return Diagnosis(
         nominal,
         extended,
         'partly',
         [found],
+        [possible],
         [],
         [Unexplained('y_linear', 'plant', 0.2, 'its speed')],
         gains(nominal, extended, [record]),
@@ -118,6 +134,8 @@ def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
         'Causes',
         '1.4 to 1.6 Nm',
         'viscous friction, 300 mNm s/rad on X-Rotate',
+        'Possible, but not named',
+        'Stribeck friction',
         'Small corrections',
         '40.5 to 41.5 kg',
         'What stays unexplained',

@@ -39,11 +39,13 @@ def every_cause(nominal):
 def found(nominal, cause, probability=0.87, share=0.42, others=()):
     parameters = cause.effect.parameters(nominal, cause.axis)
     members = (Alternative(cause, probability), *(Alternative(other, 0.1) for other in others))
-    return FoundCause(cause, parameters, {}, probability, members, 10.0, share)
+    return FoundCause(cause, parameters, {}, 1.0, probability, members, 10.0, share)
 
 
-def diagnosis(nominal, causes, unexplained=()):
-    return SimpleNamespace(nominal=nominal, causes=causes, unexplained=list(unexplained))
+def diagnosis(nominal, causes, unexplained=(), possible=()):
+    return SimpleNamespace(
+        nominal=nominal, causes=causes, unexplained=list(unexplained), possible=list(possible)
+    )
 
 
 def friction(value=1.5):
@@ -62,6 +64,15 @@ def test_is_short_whatever_is_found(nominal, every_cause, number, unexplained):
         assert '42 % of the error' in told
         assert 'probability 0.70' in told
         assert ('unexplained' in told) == bool(unexplained)
+
+
+@pytest.mark.parametrize('unexplained', [[], LEFT_OVER], ids=['nothing_left', 'three_axes_left'])
+def test_what_is_possible_is_said_where_nothing_is_named(nominal, every_cause, unexplained):
+    for cause in every_cause:
+        told = sentence(diagnosis(nominal, [], unexplained, [found(nominal, cause, 0.76)]))
+        assert len(told.split()) <= LONGEST_SENTENCE, told
+        assert told.startswith(('The model explains', 'No known cause'))
+        assert told.endswith(' is possible (probability 0.76).')
 
 
 def test_says_what_where_how_large_and_how_sure(nominal):

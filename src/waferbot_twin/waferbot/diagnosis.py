@@ -53,7 +53,14 @@ class Diagnosis:
         each candidate, which together hold the cause with 95 %), `parameter`, `value`, `low95`,
         `high95`, `unit` (of its first parameter; `parameters` has all).
         """
-        own = [_rows_of(found)[0] for found in self.details.causes]
+        return self._table(self.details.causes)
+
+    @property
+    def possible(self) -> pd.DataFrame:
+        """The same of causes in the extended model that are more probable than not, but not named."""
+        return self._table(self.details.possible)
+
+    def _table(self, causes: Sequence[FoundCause]) -> pd.DataFrame:
         rows = [
             {
                 'cause': found.cause.name,
@@ -61,9 +68,9 @@ class Diagnosis:
                 'share': found.share,
                 'probability': found.probability,
                 'credible_set': {item.cause.name: item.probability for item in found.credible_set},
-                **{key: value for key, value in first.items() if key != 'cause'},
+                **{key: value for key, value in _rows_of(found)[0].items() if key != 'cause'},
             }
-            for found, first in zip(self.details.causes, own, strict=True)
+            for found in causes
         ]
         columns = ['cause', 'words', 'share', 'probability', 'credible_set', *_VALUES]
         return pd.DataFrame(rows, columns=columns)

@@ -55,6 +55,9 @@ class Decay:
     def touched(self, effect, axis):
         return (PLANT,)
 
+    def between(self, one, other):
+        return (PLANT,)
+
     def residuals(self, variant, block):
         values = [variant.get(name, 0.0) for name in ('amplitude', 'rate', 'offset')]
         return [self.measured - model(*values)]

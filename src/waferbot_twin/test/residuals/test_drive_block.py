@@ -11,6 +11,8 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.diagnosis.inference.nuisance import nuisance
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -22,6 +24,7 @@ from waferbot_twin.residuals.problem import (
     CONTROLLER,
     CURRENT_LOOP,
     PLANT,
+    PRIOR,
     WINDINGS,
     Problem,
 )
@@ -297,3 +300,23 @@ def test_effects_touch_the_blocks_that_read_what_they_change(
     problem, blind = Problem(nominal, [record]), Problem(nominal, [without_voltages(record)])
     assert set(problem.touched(effect, 'x_rotate')) == with_voltages
     assert set(blind.touched(effect, 'x_rotate')) == without
+
+
+def test_variants_differ_in_no_other_block_than_is_said(nominal):
+    """Every number of the dense effect alone: only force constants go into the windings."""
+    record = log(nominal)
+    dense, numbers = nuisance(nominal, [record], Settings())
+    problem = Problem(nominal, [record]).with_prior([item.path for item in numbers])
+    blocks = {PLANT, CONTROLLER, AMPLIFIER, WINDINGS, PRIOR}
+    nothing = {item.path: 0.0 for item in numbers}
+    before = dense.apply(nominal, 'y_linear', nothing)
+    assert problem.between(before, before) == ()
+    for item in numbers:
+        after = dense.apply(nominal, 'y_linear', {**nothing, item.path: item.spread})
+        said = set(problem.between(before, after))
+        assert (WINDINGS in said) == (item.section == 'motors')
+        for block in blocks - said:
+            pairs = zip(
+                problem.residuals(before, block), problem.residuals(after, block), strict=True
+            )
+            assert all(one.tobytes() == two.tobytes() for one, two in pairs), (item.path, block)

@@ -25,10 +25,17 @@ def print_diagnosis(
     print(sentence(diagnosis))
     for note in diagnosis.notes:
         print(f'Note: {note}.')
-    if diagnosis.causes:
+    for heading_of_causes, found_causes in (
+        ('cause', diagnosis.causes),
+        ('possible, not named', diagnosis.possible),
+    ):
+        if not found_causes:
+            continue
         print()
-        causes = new_table('cause', 'share of the error', 'probability', '', 'value', '95 %')
-        for found in diagnosis.causes:
+        causes = new_table(
+            heading_of_causes, 'share of the error', 'probability', '', 'value', '95 %'
+        )
+        for found in found_causes:
             first = (
                 capital(title(found.cause)),
                 percent_text(found.share),

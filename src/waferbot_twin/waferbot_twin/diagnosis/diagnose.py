@@ -57,6 +57,8 @@ class FoundCause:
     """
     A cause with what is known of it.
 
+    inclusion       posterior probability that there is such a cause at all, this one or another member
+                    of the credible set, 0 to 1
     probability     posterior probability that this is the cause, 0 to 1
     credible_set    the fewest candidates that hold the cause with 95 %, the most probable first, this
                     one among them
@@ -69,6 +71,7 @@ class FoundCause:
     cause: Cause
     parameters: tuple[Parameter, ...]
     intervals_95: Intervals
+    inclusion: float
     probability: float
     credible_set: tuple[Alternative, ...]
     log_evidence: float
@@ -86,15 +89,17 @@ class Diagnosis:
     The result of a diagnosis.
 
     `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent`
-    (the model explains the logs). `residual_rms` has by block and channel what the nominal model
-    leaves over. `problem` holds the logs as they were compared, estimation data first.
-    `corrections` are parameters a little different from the model's, which are no causes.
+    (the model explains the logs). `possible` are causes that are in the extended model, as they are more
+    probable than not, but not so probable that they are named. `residual_rms` has by block and channel
+    what the nominal model leaves over. `problem` holds the logs as they were compared, estimation data
+    first. `corrections` are parameters a little different from the model's, which are no causes.
     """
 
     nominal: Variant
     extended: Variant
     verdict: str
     causes: list[FoundCause]
+    possible: list[FoundCause]
     withdrawn: list[Cause]
     unexplained: list[Unexplained]
     gains: list[AxisGain]
@@ -143,7 +148,7 @@ def diagnose(
         )
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
     nominal = sized_by(records, nominal)
-    dense, numbers = nuisance(nominal, settings)
+    dense, numbers = nuisance(nominal, records, settings)
     paths = [item.path for item in numbers]
     problem = Problem(nominal, records).with_prior(paths)
     coloured = problem.with_coloured_forces()
@@ -167,19 +172,20 @@ def diagnose(
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
         for cause in extension.withdrawn
     ]
-    notes += _in_doubt(posterior)
     withdrawn = [*refuted, *extension.withdrawn]
     posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
-    causes = _found_causes(problem, posterior, settings)
+    every = _found_causes(problem, posterior, settings)
+    causes = [item for item in every if item.inclusion >= settings.named_from]
     corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
-    extended = apply_all(nominal, [*corrected, *(item.cause for item in causes)])
+    extended = apply_all(nominal, [*corrected, *(item.cause for item in every)])
     notes += _stands_for(extended, [item.cause for item in causes])
     return Diagnosis(
         nominal,
         extended,
         _verdict(causes, left),
         causes,
+        [item for item in every if item.inclusion < settings.named_from],
         [cause for cause in withdrawn if not is_discrepancy(cause) and not is_nuisance(cause)],
         left,
         extension.gains,
@@ -224,7 +230,7 @@ def _verdict(causes: Sequence[FoundCause], left: Sequence[Unexplained]) -> str:
 
 
 def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) -> list[FoundCause]:
-    """Return the named causes, what explains most first."""
+    """Return the causes in the extended model, what explains most first."""
     found = posterior.found
     errors = standard_errors(found)
     result, first = [], 0
@@ -238,6 +244,7 @@ def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) ->
                 cause,
                 cause.effect.parameters(problem.nominal, cause.axis),
                 intervals_95(problem, found, place, own, []),
+                effect.inclusion,
                 effect.best.probability,
                 _credible_set(effect, cause, settings),
                 effect.best.log_evidence,
@@ -257,18 +264,6 @@ def _credible_set(
         for one in members
         if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
     )
-
-
-def _in_doubt(posterior: Posterior) -> list[str]:
-    """Say what may lack, but not so probably that it is named."""
-    if posterior.doubtful is None:
-        return []
-    members = [
-        f'{one.cause.name} with probability {one.probability:.2f}'
-        for one in posterior.doubtful.credible_set(0.5)
-        if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
-    ]
-    return [f'{" or ".join(members)} may lack, too little to be named'] if members else []
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:

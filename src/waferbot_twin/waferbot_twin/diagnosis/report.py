@@ -59,6 +59,7 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'verdict': diagnosis.verdict,
         'sentence': sentence(diagnosis),
         'causes': [_cause(diagnosis.nominal, found) for found in diagnosis.causes],
+        'possible': [_cause(diagnosis.nominal, found) for found in diagnosis.possible],
         'withdrawn': [cause.name for cause in diagnosis.withdrawn],
         'corrections': [dataclasses.asdict(item) for item in diagnosis.corrections],
         'unexplained': [dataclasses.asdict(item) for item in diagnosis.unexplained],
@@ -92,6 +93,7 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
             }
             for item in found.parameters
         },
+        'inclusion': found.inclusion,
         'probability': found.probability,
         'reading': reading(found.probability),
         'log_evidence': found.log_evidence,
@@ -119,7 +121,8 @@ def write(diagnosis: Diagnosis, folder: Path) -> None:
 
 def extended_text(diagnosis: Diagnosis) -> str:
     """Return the extended model as the text of a file that nodes load; of a machine alone, its own."""
-    names = ', '.join(found.cause.name for found in diagnosis.causes) or 'no cause was found'
+    every = [*diagnosis.causes, *diagnosis.possible]
+    names = ', '.join(found.cause.name for found in every) or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
     return header + diagnosis.extended.text
 
@@ -139,6 +142,8 @@ def page(diagnosis: Diagnosis) -> str:
         sentence=sentence(diagnosis),
         notes=[capital(note) for note in diagnosis.notes],
         causes=[_row(nominal, found) for found in diagnosis.causes],
+        possible=[_row(nominal, found) for found in diagnosis.possible],
+        named_from=probability_text(diagnosis.settings.named_from),
         credible=percent_text(diagnosis.settings.credible_level),
         corrections=[_correction_row(item) for item in diagnosis.corrections],
         unexplained=[

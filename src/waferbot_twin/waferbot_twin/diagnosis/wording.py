@@ -207,9 +207,11 @@ def sentence(diagnosis: Diagnosis) -> str:
     """
     left = _left_over(diagnosis.unexplained)
     if not diagnosis.causes:
+        may_be = _possible(diagnosis.possible)
         if not diagnosis.unexplained:
-            return 'The model explains these logs: no cause and nothing unexplained was found.'
-        return f'No known cause explains these logs: {left}.'
+            none = 'The model explains these logs: no cause and nothing unexplained was found'
+            return f'{none}{may_be}.'
+        return f'No known cause explains these logs: {left}{may_be}.'
     first = diagnosis.causes[0]
     wordings: list[Callable[[], str]] = [
         lambda: _first(diagnosis, first, True) + _other(first) + _more(diagnosis),
@@ -222,6 +224,16 @@ def sentence(diagnosis: Diagnosis) -> str:
         if len(text.split()) <= LONGEST_SENTENCE:
             break
     return text
+
+
+def _possible(possible: Sequence[FoundCause]) -> str:
+    """Return what is possible, but not so sure that it is named."""
+    if not possible:
+        return ''
+    first = possible[0]
+    return (
+        f'; {title(first.cause)} is possible (probability {probability_text(first.probability)})'
+    )
 
 
 def _first(diagnosis: Diagnosis, first: FoundCause, with_size: bool) -> str:

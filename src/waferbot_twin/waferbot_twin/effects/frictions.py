@@ -27,9 +27,6 @@ ON_AXIS = (
 )
 """Effects with a slot on the coordinate of the axis."""
 
-USUAL = 'usual'
-"""Name of the slot of friction that every axis has, on the coordinate of the axis."""
-
 ON_MOTOR = ('gear_efficiency', 'gearbox_friction', 'load_dependent_friction')
 """Effects with a slot on the coordinate of the motor."""
 
@@ -123,7 +120,7 @@ def damper(variant: Variant, axis: str, effect: str, damping: float) -> dict[str
 
 def slots(axis: str) -> tuple[str, ...]:
     """Return the names of all slots of dry friction on an axis."""
-    return tuple(f'{axis}_{effect}' for effect in (USUAL, *ON_AXIS, *ON_MOTOR, *ON_COUNTERWEIGHT))
+    return tuple(f'{axis}_{effect}' for effect in (*ON_AXIS, *ON_MOTOR, *ON_COUNTERWEIGHT))
 
 
 def of_axis(variant: Variant, axis: str) -> tuple[str, ...]:

@@ -46,6 +46,8 @@ class Overlay:
     copley: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     deviations: Mapping[str, float] = field(default_factory=dict)
     """How far parameters are off, in the standard deviations that they usually have."""
+    skew_s: Mapping[str, float] = field(default_factory=dict)
+    """How much later than the position the drive of an axis stands in logs, more than is known."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,8 @@ class Variant:
     """Axes whose logs have the force and no current: what a motor makes of one is not in them."""
     deviations: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are off, each in the standard deviations that it usually has (`Overlay`)."""
+    skew_s: Mapping[str, float] = field(default_factory=dict)
+    """Of logs, not of the machine: how late the drive of an axis stands in them (`Overlay`)."""
 
     @property
     def base(self) -> Variant:
@@ -98,6 +102,7 @@ class Variant:
             copley=_laid_over(self.copley, overlay.copley),
             origin=self.base,
             deviations={**self.deviations, **overlay.deviations},
+            skew_s={**self.skew_s, **overlay.skew_s},
         )
 
     @cached_property

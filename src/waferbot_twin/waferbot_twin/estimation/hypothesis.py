@@ -117,25 +117,23 @@ def signature(
     Return what the parameters of `causes[place]` change in the residuals, block by block.
 
     Arrays have the shape (samples of all channels, parameters), per unit of the parameter. A shape
-    parameter of an effect that is not there changes nothing: a column of zeros, without simulating.
+    parameter of an effect that is not there changes nothing, nor does one in a block that does not read
+    where it stands: a column of zeros, without simulating.
     """
-    cause = causes[place]
+    cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
     absent = all(item.shape or cause.values[item.name] == item.neutral for item in parameters)
     found: dict[str, list[Array]] = {}
     for item in parameters:
-        if absent and item.shape:
-            for block in problem.touched(cause.effect, cause.axis):
-                length = sum(len(channel) for channel in hypothesis.residuals[block])
-                found.setdefault(block, []).append(np.zeros(length))
-            continue
-        value = cause.values[item.name]
         step = _probe(cause, item)
-        moved = cause.with_values({item.name: value + step})
+        moved = cause.with_values({item.name: cause.values[item.name] + step})
         variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
+        differing = () if absent and item.shape else problem.between(here, variant)
         for block in problem.touched(cause.effect, cause.axis):
-            changed = np.concatenate(problem.residuals(variant, block))
-            column = (changed - np.concatenate(hypothesis.residuals[block])) / step
+            before = np.concatenate(hypothesis.residuals[block])
+            column = np.zeros_like(before)
+            if block in differing:
+                column = (np.concatenate(problem.residuals(variant, block)) - before) / step
             found.setdefault(block, []).append(column)
     return {block: np.column_stack(columns) for block, columns in found.items()}
 

@@ -436,6 +436,7 @@ def _aligned(
 ) -> Record:
     """Return the record of a log whose alignments, by axis and kind of drive, are known."""
     late_s, notes, without = {}, [], []
+    spread_s = [0.0] * len(AXES)
     for axis in axes:
         position, drive = log[axis, 'position'], drive_signal(log, variant, axis)
         assert drive is not None
@@ -455,6 +456,7 @@ def _aligned(
             notes.append(f'{pair}: {found} late, moved by that')
         else:
             notes.append(f'{pair}: {found} late, not significant')
+        spread_s[AXES.index(axis)] = _spread_s(drive, found)
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
@@ -471,7 +473,18 @@ def _aligned(
             f'{log.name}: its positions come too slowly to show what forces do above {limit_hz:.0f} Hz'
         )
     notes += [*how, *_of_commands(record, variant, axes)]
-    return replace(record, notes=tuple(notes))
+    return replace(record, skew_spread_s=tuple(spread_s), notes=tuple(notes))
+
+
+def _spread_s(drive: Signal, found: Skew | None) -> float:
+    """
+    Return the standard deviation of what is not known of a drive's time against its position, s.
+
+    What a drive does between two of its samples is not in a log: it may be as late as half a step either
+    way, any time as probable as another. That of the skew that was found is beside it.
+    """
+    error_s = found.standard_error_s if found is not None else 0.0
+    return math.hypot(error_s, 1.0 / (math.sqrt(12.0) * drive.rate_hz))
 
 
 def _as_if_held(drive: Signal, found: Skew) -> bool:

@@ -271,7 +271,7 @@ class PlantBlock:
             *gains,
             self._usual_rows,
             record.reading,
-            np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
+            self._late_s(variant),
             self._ends,
             standing,
             np.zeros(9),
@@ -285,6 +285,14 @@ class PlantBlock:
             innovation[rows, place].mean(axis=1)
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
+
+    def _late_s(self, variant: Variant) -> Array:
+        """Return how much after its tick each reading was taken, s, with a skew that a variant has."""
+        late_s = self.record.late_s
+        if any(variant.skew_s.values()):
+            own = np.array([variant.skew_s.get(AXIS_OF[name], 0.0) for name in ENCODERS])
+            return own + (np.zeros_like(self.record.reading) if late_s is None else late_s)
+        return np.zeros((0, len(ENCODERS))) if late_s is None else late_s
 
     def _gains(
         self,

@@ -155,18 +155,41 @@ class Problem:
     def touched(self, effect: Effect, axis: str) -> tuple[str, ...]:
         """Return the blocks that an effect can change: those that read what its overlay says."""
         overlay = effect.overlay(self.nominal, axis, effect.typical(self.nominal, axis))
+        return self._reading(
+            frozenset(overlay.machine),
+            bool(overlay.pmac),
+            bool(overlay.copley),
+            bool(overlay.deviations),
+            bool(overlay.skew_s),
+        )
+
+    def between(self, one: Variant, other: Variant) -> tuple[str, ...]:
+        """Return the blocks in which two variants can differ: those that read where these do."""
+        sections = one.machine.keys() | other.machine.keys()
+        return self._reading(
+            frozenset(key for key in sections if one.machine.get(key) != other.machine.get(key)),
+            one.pmac != other.pmac,
+            one.copley != other.copley,
+            one.deviations != other.deviations,
+            one.skew_s != other.skew_s,
+        )
+
+    def _reading(
+        self, sections: frozenset[str], pmac: bool, copley: bool, deviations: bool, skew: bool
+    ) -> tuple[str, ...]:
+        """Return the blocks that read some sections of a description, and what else is true."""
         found = []
-        if overlay.machine.keys() - {DESCRIBED}:
+        if sections - {DESCRIBED} or skew:
             found.append(PLANT)
-        if overlay.pmac or DESCRIBED in overlay.machine:
+        if pmac or DESCRIBED in sections:
             found.append(CONTROLLER)
-        if overlay.copley:
+        if copley:
             found.append(AMPLIFIER)
-        if ELECTRICAL & overlay.machine.keys():
+        if ELECTRICAL & sections:
             found.append(WINDINGS)
-        if overlay.copley or ELECTRICAL & overlay.machine.keys():
+        if copley or ELECTRICAL & sections:
             found.append(CURRENT_LOOP)
-        if overlay.deviations:
+        if deviations:
             found.append(PRIOR)
         return tuple(block for block in found if self.blocks.get(block))
 

@@ -62,6 +62,8 @@ class Record:
     counted       whether each encoder's readings are whole steps of its resolution
     controlled    the axes whose controller the model knows
     force_driven  the axes whose force was logged, and no current
+    skew_spread_s standard deviation of what is not known of the time of each axis' drive against its
+                  position, s: 0 where a log has the same clock for both, and every tick
     notes         what a reader of the results should know of the log
 
     `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
@@ -90,6 +92,7 @@ class Record:
     counted: tuple[bool, ...] = (True,) * len(ENCODERS)
     controlled: tuple[str, ...] = AXES
     force_driven: tuple[str, ...] = ()
+    skew_spread_s: tuple[float, ...] = (0.0,) * len(AXES)
     notes: tuple[str, ...] = ()
 
     @property

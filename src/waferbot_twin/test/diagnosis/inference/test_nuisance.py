@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The dense effect: what every machine has a little different, and what no drawing shows."""
+"""The dense effect: what every machine, and every log, has a little different."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.inference.nuisance import nuisance
+from waferbot_twin.diagnosis.inference.nuisance import LOGS, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.effects import find
+from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.models import load_model
-from waferbot_twin.residuals.problem import Cause, apply_all
+from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.models import load_model, load_model_or_machine
+from waferbot_twin.residuals.from_measured_log import aligned_record, record_of_measured_log
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 
 
 @pytest.fixture(scope='module')
@@ -18,53 +24,76 @@ def nominal():
     return Variant.of(load_model('rigid'))
 
 
-def dense(nominal, **values):
-    effect, _ = nuisance(nominal, Settings())
+def dense(nominal, records, **values):
+    effect, _ = nuisance(nominal, records, Settings())
     (axis,) = effect.axes(nominal)
     parameters = effect.parameters(nominal, axis)
     return Cause(effect, axis, {item.name: values.get(item.name, 0.0) for item in parameters})
 
 
 def test_with_nothing_off_the_machine_is_as_it_was(nominal):
-    changed = apply_all(nominal, [dense(nominal)])
+    changed = apply_all(nominal, [dense(nominal, [])])
     assert changed.description.bodies.keys() == nominal.description.bodies.keys()
     for name, body in nominal.description.bodies.items():
         assert changed.description.bodies[name].mass == body.mass
     assert not any(changed.deviations.values())
 
 
-def test_what_a_data_sheet_has_is_off_by_shares_and_what_no_drawing_shows_by_what_is_typical(
-    nominal,
-):
-    _, known = nuisance(nominal, Settings())
-    by_path = {item.path: item for item in known}
-    mass = by_path['bodies.carriage.mass_kg']
-    friction = by_path['frictions.x_rotate_usual.x_rotate']
-    (typical,) = find('coulomb_friction').parameters(nominal, 'x_rotate')
-    assert friction.spread == typical.typical
-    off = {mass.path: 0.06, friction.path: 2.0 * friction.spread}
-    changed = apply_all(nominal, [dense(nominal, **off)])
+def test_what_a_data_sheet_has_is_off_by_shares(nominal):
+    _, known = nuisance(nominal, [], Settings())
+    mass = next(item for item in known if item.path == 'bodies.carriage.mass_kg')
+    changed = apply_all(nominal, [dense(nominal, [], **{mass.path: 0.06})])
     assert changed.description.bodies['carriage'].mass == pytest.approx(
         1.06 * nominal.description.bodies['carriage'].mass
     )
     assert changed.deviations[mass.path] == pytest.approx(0.06 / Settings().spread_of_masses)
-    assert changed.deviations[friction.path] == pytest.approx(2.0)
 
 
-def test_friction_that_every_axis_has_adds_to_that_of_a_cause(nominal):
-    cause = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.5})
-    usual = dense(nominal, **{'frictions.x_rotate_usual.x_rotate': 0.5})
-    for causes in ([cause, usual], [usual, cause]):
-        frictions = apply_all(nominal, causes).description.frictions
-        added = frictions.keys() - nominal.description.frictions.keys()
-        of_x = [name for name in added if name.startswith('x_rotate')]
-        assert sorted(of_x) == ['x_rotate_coulomb_friction', 'x_rotate_usual']
+SKEW_S, STEP_S = 3e-4, 1e-3
 
 
-def test_friction_cannot_push_and_a_constant_force_goes_either_way(nominal):
-    effect, _ = nuisance(nominal, Settings())
-    room = {item.name: (item.low, item.high) for item in effect.parameters(nominal, 'y_linear')}
-    assert room['frictions.y_linear_usual.y_linear'][0] == 0.0
-    assert room['dampers.y_linear_usual.y_linear'][0] == 0.0
-    low, high = room['disturbances.y_linear_usual.y_linear']
-    assert low == -high < 0.0
+def log_of(variant, late_s):
+    """Return a log of an axis that has inertia alone; its drive stands so much later in it."""
+    time_s = STEP_S * np.arange(4000)
+    wave, phase = np.array([3.0, 7.0, 19.0]), np.array([0.3, 1.0, 2.0])
+    angle = np.sin(np.outer(time_s, wave) + phase) @ (1.0 / wave)
+    rate = -np.sin(np.outer(time_s - late_s, wave) + phase) @ wave
+    inertia = places.moving_inertia(variant, 'y_rotate')
+    return MeasuredLog(
+        'log',
+        (
+            Signal('position', 'y_rotate', 'rad', time_s, angle, 1e-6),
+            Signal('force', 'y_rotate', 'Nm', time_s, inertia * rate),
+        ),
+    )
+
+
+def test_the_time_of_a_drive_is_open_by_what_lies_between_samples():
+    """As late as half a step either way, any time as probable as another."""
+    geared = Variant.of(load_model_or_machine('geared_pendulum'))
+    record = aligned_record(log_of(geared, 0.0), geared)
+    _, known = nuisance(geared, [record, record], Settings())
+    (skew,) = (item for item in known if item.section == LOGS)
+    assert skew.name == 'y_rotate'
+    assert STEP_S / math.sqrt(12.0) <= skew.spread < STEP_S
+    assert not any(item.section == LOGS for item in nuisance(geared, [], Settings())[1])
+
+
+def test_a_skew_of_the_dense_effect_is_that_of_a_log():
+    geared = Variant.of(load_model_or_machine('geared_pendulum'))
+    late = record_of_measured_log(log_of(geared, SKEW_S), geared)
+    cause = dense(geared, [replace(late, skew_spread_s=(0.0, 0.0, STEP_S))])
+    path = 'logs.y_rotate.skew_s'
+    known = Problem(geared, [record_of_measured_log(log_of(geared, 0.0), geared)])
+    (without,) = known.residuals(geared, PLANT)
+
+    def off(skew_s):
+        variant = apply_all(geared, [cause.with_values({path: skew_s})])
+        (left,) = Problem(geared, [late]).residuals(variant, PLANT)
+        return float(np.sqrt(np.mean((left - without) ** 2)))
+
+    # Forces go straight between samples, here at other times: some of it stays.
+    assert off(SKEW_S) < 0.2 * off(0.0)
+    assert off(0.0) < off(-SKEW_S)
+    machines = [apply_all(geared, [cause.with_values({path: skew})]).machine for skew in (0.0, SKEW_S)]
+    assert machines[0] == machines[1]

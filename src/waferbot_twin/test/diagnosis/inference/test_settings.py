@@ -22,6 +22,8 @@ from waferbot_twin.diagnosis.inference.settings import Settings
         ({'most_causes': 0}, 'most_causes'),
         ({'most_refits': 0}, 'most_refits'),
         ({'named_from': float('nan')}, 'named_from'),
+        ({'included_from': 0.0}, 'included_from'),
+        ({'named_from': 0.5, 'included_from': 0.6}, 'named_from is 0.5, less than'),
     ],
 )
 def test_a_value_out_of_its_range_is_refused(values, named):
@@ -30,4 +32,6 @@ def test_a_value_out_of_its_range_is_refused(values, named):
 
 
 def test_the_usual_ones_are_in_range():
-    assert 0.5 <= Settings().named_from < Settings().credible_level < 1.0
+    assert (
+        0.5 == Settings().included_from < Settings().named_from < Settings().credible_level < 1.0
+    )

@@ -83,6 +83,9 @@ class Sum:
     def touched(self, effect, axis):
         return (PLANT,)
 
+    def between(self, one, other):
+        return (PLANT,)
+
     def residuals(self, variant, block):
         return [self.measured - sum(variant.values(), np.zeros_like(TIME_S))]
 

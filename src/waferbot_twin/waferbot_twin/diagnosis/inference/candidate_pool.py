@@ -37,6 +37,9 @@ from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, sign
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
+LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
+"""What a least-squares model of an axis has beside its mass and force constant."""
+
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
 
@@ -129,6 +132,14 @@ class CandidatePool:
         """Take a candidate out."""
         self._candidates = [cause for cause in self._candidates if cause.name != name]
         self.dense = [cause for cause in self.dense if cause.name != name]
+
+    def usual(self) -> tuple[Cause, ...]:
+        """Return the dense effect and `LEAST_SQUARES` on every axis, none of them there yet."""
+        first: dict[str, Cause] = {}
+        for cause in (*self.dense, *self._candidates):
+            if is_nuisance(cause) or cause.effect.name in LEAST_SQUARES:
+                first.setdefault(cause.name, cause)
+        return tuple(first.values())
 
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""

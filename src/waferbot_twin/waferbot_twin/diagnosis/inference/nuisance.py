@@ -1,42 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Nuisance parameters: what every machine has a little different from its model.
+Nuisance parameters: what every machine, and every log, has a little different from its model.
 
-Masses, inertias, force constants and frictions are never exactly those of the data sheets, and every
-axis has some friction and some constant force that no drawing shows. Together they are one dense effect
-beside the sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and
-many small ones), each with the prior
+Masses, inertias, force constants and frictions are never exactly those of the data sheets, and what a
+drive does between two samples of a log is not in it. Together they are one dense effect beside the
+sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and many small
+ones), each with the prior
 
     p = p_0 + c x,    x ~ N(0, s^2),    s the usual spread of its kind,                            (1)
 
-a part of every fit (`residuals.prior_block`). c is p_0 for what a data sheet has; for Coulomb
-friction, viscous friction and a constant force on an axis p_0 is 0, c 1 and s what is typical of such a
-cause there. The dense effect competes with the causes as a whole: where one thing alone is wrong, that
-is far more probable than many which happen to look like it; where all are a little off, no one of them
-is a cause. A parameter becomes a cause, beside the dense effect, only
-where it is further off than (1) has it.
+a part of every fit (`residuals.prior_block`). c is p_0 for what a data sheet has; for the time of a
+drive against its position p_0 is 0, c 1 s, and s what the log leaves open (`Record.skew_spread_s`). The
+dense effect competes with the causes as a whole: where one thing alone is wrong, that is far more
+probable than many which happen to look like it; where all are a little off, no one of them is a cause.
+A parameter becomes a cause, beside the dense effect, only where it is further off than (1) has it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from waferbot_lockstep.contract import AXES
 from waferbot_plant.description_drives import FORCE_KEYS
 from waferbot_plant.motors import force_constant
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.effects import find, frictions, places
+from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of, standard_errors
 from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Record
 
 NAME = 'nuisance_parameters'
+
+LOGS = 'logs'
+"""Section of what is off in logs, and not in the machine's description."""
 
 MOST, SPREADS = 0.9, 10.0
 """How far, as a share of its value and in its spread, a parameter may be off at most."""
@@ -47,8 +51,7 @@ class Number:
     """
     One number of a description: section, name and key where it stands, and its usual spread.
 
-    `words` and `unit` are for the report; `value` is what the model has there. A `resistance` cannot be
-    less than nothing.
+    `words` and `unit` are for the report; `value` is what the model has there.
     """
 
     section: str
@@ -58,7 +61,6 @@ class Number:
     words: str
     unit: str
     value: float
-    resistance: bool = False
 
     @property
     def per_x(self) -> float:
@@ -71,7 +73,7 @@ class Number:
         most = SPREADS * self.spread
         if self.value:
             return -min(MOST, most), min(MOST, most)
-        return (0.0 if self.resistance else -most), most
+        return -most, most
 
     @property
     def path(self) -> str:
@@ -79,17 +81,13 @@ class Number:
         return f'{self.section}.{self.name}.{self.key}'
 
 
-def numbers(variant: Variant, settings: Settings) -> list[Number]:
-    """Return every number of a machine that is usually a little off."""
+def numbers(variant: Variant, records: Sequence[Record], settings: Settings) -> list[Number]:
+    """Return every number of a machine and its logs that is usually a little off."""
     return [
         *_of_bodies(variant, settings),
         *_of_motors(variant, settings),
         *_of_frictions(variant, settings),
-        *(
-            item
-            for axis in places.motor_axes(variant)
-            for item in _that_no_drawing_shows(variant, axis)
-        ),
+        *_of_logs(records),
     ]
 
 
@@ -160,27 +158,23 @@ def _of_frictions(variant: Variant, settings: Settings) -> list[Number]:
     return found
 
 
-def _that_no_drawing_shows(variant: Variant, axis: str) -> list[Number]:
-    """Return friction and a constant force of an axis, as much as is typical of such causes."""
-    found = []
-    for effect, section, words in (
-        ('coulomb_friction', 'frictions', f'Coulomb friction of {axis}, beside that of the model'),
-        ('viscous_friction', 'dampers', f'viscous friction of {axis}, beside that of the model'),
-        ('constant_force', 'disturbances', f'constant force on {axis}'),
-    ):
-        (size,) = find(effect).parameters(variant, axis)
-        found.append(
-            Number(
-                section, f'{axis}_usual', axis, size.typical, words, size.unit, 0.0,
-                resistance=size.low == 0.0,
-            )
-        )  # fmt: skip
-    return found
+def _of_logs(records: Sequence[Record]) -> list[Number]:
+    """Return the time of the drive of every axis, the same in all logs, as far as they leave it open."""
+    spreads = np.zeros(len(AXES))
+    for record in records:
+        spreads = np.maximum(spreads, record.skew_spread_s)
+    return [
+        Number(LOGS, axis, 'skew_s', spread, f'time of the drive of {axis} in the logs', 's', 0.0)
+        for axis, spread in zip(AXES, spreads.tolist(), strict=True)
+        if spread > 0.0
+    ]
 
 
-def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]]:
+def nuisance(
+    variant: Variant, records: Sequence[Record], settings: Settings
+) -> tuple[Effect, list[Number]]:
     """Return the dense effect of a machine, on its first axis with a motor, and its numbers."""
-    known = numbers(variant.base, settings)
+    known = numbers(variant.base, records, settings)
 
     def axes(variant: Variant) -> tuple[str, ...]:
         return places.motor_axes(variant)[:1] if known else ()
@@ -193,15 +187,16 @@ def nuisance(variant: Variant, settings: Settings) -> tuple[Effect, list[Number]
 
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         machine: dict[str, dict[str, dict[str, Any]]] = {}
+        skew_s: dict[str, float] = {}
         for item in known:
-            section, value = machine.setdefault(item.section, {}), values[item.path]
-            if item.value:
-                entry = section.setdefault(item.name, {})
-                entry[item.key] = _scaled(variant, item, 1.0 + value)
-            else:
-                section.update(_added(variant, item, value)[item.section])
+            value = values[item.path]
+            if item.section == LOGS:
+                skew_s[item.name] = value
+                continue
+            entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
+            entry[item.key] = _scaled(variant, item, 1.0 + value)
         deviations = {item.path: values[item.path] / item.spread for item in known}
-        return Overlay(machine, deviations=deviations)
+        return Overlay(machine, deviations=deviations, skew_s=skew_s)
 
     effect = Effect(
         NAME, Block.PLANT, 'parameters a little different from the model', axes, parameters, overlay
@@ -215,17 +210,6 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
         return places.tensor_entries(variant.description.bodies[item.name].inertia * ratio)
     entry = variant.machine[item.section][item.name]
     return ratio * float(places.plain(variant, entry.get(item.key, 1.0)))
-
-
-def _added(variant: Variant, item: Number, value: float) -> dict[str, Any]:
-    """Return the part of a description that has so much of what no drawing shows."""
-    axis = item.key
-    if item.section == 'frictions':
-        return frictions.slot(variant, axis, frictions.USUAL, [0.0], [value])
-    if item.section == 'dampers':
-        return frictions.damper(variant, axis, frictions.USUAL, value)
-    force = {'kind': 'constant', places.force_key(variant, axis): value}
-    return places.disturbance(variant, axis, frictions.USUAL, force)
 
 
 def is_nuisance(cause: Cause) -> bool:
@@ -251,7 +235,7 @@ def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> lis
                     abs(value) / item.spread,
                     Correction(
                         item.words, item.path, item.unit, item.value,
-                        *(item.value + item.per_x * x for x in (value - reach, value + reach)),
+                        *(item.value + item.per_x * x for x in (value, value - reach, value + reach)),
                     ),
                 )
             )  # fmt: skip

@@ -24,6 +24,9 @@ class Settings:
     spread_of_masses, spread_of_force_constants, spread_of_frictions
                        standard deviations, as shares, by which every machine's parameters differ from
                        its model's (`nuisance`)
+    included_from      inclusion probability from which on an effect is in the extended model: with 1/2
+                       that is the one of all models that predicts best (M. Barbieri, J. Berger, Annals
+                       of Statistics 32, 2004: median probability model)
     named_from         inclusion probability from which on a cause is named: 10/11 where a wrong name
                        costs ten times as much as a name that is not given
     credible_level     probability that a credible set holds at least
@@ -49,6 +52,7 @@ class Settings:
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03
     spread_of_frictions: float = 0.1
+    included_from: float = 0.5
     named_from: float = 10.0 / 11.0
     credible_level: float = 0.95
     most_causes: int = 12
@@ -62,6 +66,7 @@ class Settings:
     def __post_init__(self) -> None:
         """Check every value."""
         shares = (
+            'included_from',
             'named_from',
             'credible_level',
             'endogeneity_level',
@@ -74,6 +79,11 @@ class Settings:
         for name in shares:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise UserError(f'{name} is {getattr(self, name)}; it must be between 0 and 1')
+        if self.named_from < self.included_from:
+            raise UserError(
+                f'named_from is {self.named_from}, less than included_from, {self.included_from}; '
+                'what is named must be in the model'
+            )
         if self.expected_causes <= 0.0 or not all(scale > 0.0 for scale in self.prior_scales):
             raise UserError('expected_causes and prior_scales must be greater than 0')
         if self.tolerated_loss < 0.0:

@@ -35,6 +35,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import expit, logit
 from scipy.stats import t as student
 
 from waferbot_lockstep.errors import UserError
@@ -107,17 +108,12 @@ class SingleEffect:
 
 @dataclass(frozen=True)
 class Posterior:
-    """
-    All effects, and the hypothesis with the best of each in the same order; `nothing` without.
-
-    `doubtful` is one more effect that is more probable than none, but not enough to be one of them.
-    """
+    """All effects, and the hypothesis with the best of each in the same order; `nothing` without."""
 
     nothing: Hypothesis
     found: Hypothesis
     effects: tuple[SingleEffect, ...]
     tried: int
-    doubtful: SingleEffect | None = None
 
     def share(self, problem: Problem, place: int) -> float:
         """
@@ -171,72 +167,60 @@ def infer(pool: CandidatePool) -> Posterior:
     nothing = evaluate(pool.problem)
     pool.begin(nothing)
     best = _search(pool, nothing, [], pool.settings.most_asked)
-    for dense in _dense(pool, nothing, best):
-        other = _search(pool, dense.best.found, [dense], best.left)
-        if _odds_against(pool, other.found, best.found) > 0.0:
-            best = other
-    last = best.last
-    doubtful = last if last is not None and last.inclusion > 0.5 + ROUNDING else None
-    return Posterior(nothing, best.found, tuple(best.effects), len(pool.names), doubtful)
+    if len(best.effects) > 1:
+        begun = _least_squares_model(pool)
+        if begun is not None:
+            other = _search(pool, *begun, pool.settings.most_asked)
+            if _odds_against(pool, other.found, best.found) > 0.0:
+                best = other
+    return Posterior(nothing, best.found, tuple(best.effects), len(pool.names))
 
 
 @dataclass(frozen=True)
 class _Searched:
-    """
-    Where a search was left: its effects, and `last` what it asked for last and did not include.
-
-    `left` is how often it might still have asked.
-    """
+    """Where a search ended."""
 
     found: Hypothesis
     effects: list[SingleEffect]
-    last: SingleEffect | None
-    left: int
 
 
 def _search(
-    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
+    pool: CandidatePool, found: Hypothesis, tentative: list[SingleEffect], most: int
 ) -> _Searched:
     """Add effects to some, and ask for all of them anew, until none is added, changed or feigned."""
+    effects: list[SingleEffect] = []
     while True:
-        found, effects, asked, last = _ask_on(pool, found, effects, most)
+        found, effects, asked = _ask_on(pool, found, effects, tentative, most)
         most -= asked
         found, effects, asked = _ask_again(pool, found, effects, most)
         most -= asked
-        feigned = _feigned(pool, found, effects)
+        feigned, judged = _instrumented(pool, found, effects)
         if feigned is None:
-            return _Searched(found, effects, last, most)
+            return _Searched(found, judged)
         pool.leave_out(feigned)
         found, effects = _without(pool.problem, found, effects, feigned)
+        tentative = []
 
 
-def _dense(pool: CandidatePool, nothing: Hypothesis, first: _Searched) -> list[SingleEffect]:
+def _least_squares_model(pool: CandidatePool) -> tuple[Hypothesis, list[SingleEffect]] | None:
     """
-    Return the dense effect for a second search to begin with, if the first one has a place for it.
+    Return what everybody fits first, for a second search to begin with; None if it cannot be fitted.
 
-    Where most parameters are off, a search that adds one cause at a time goes wrong: whichever comes
-    first takes what many small ones leave over, and they find nothing any more. So a second one begins
-    with all of these, where the first has found them, or where beside its causes they would be more
-    probable than none in noise of known power. The more probable result counts.
+    Masses and force constants, Coulomb and viscous friction and a constant force of every axis, all
+    together. Where most things are off, a search that adds one cause at a time goes wrong: whichever
+    comes first takes what many others leave over, and they find nothing any more. Of these each stays
+    that is evident beside all that the second search has found; the more probable result counts.
     """
-    begun = []
-    for cause in pool.dense:
-        there = any(one.name == cause.name for one in first.found.causes)
-        beside = [
-            one
-            for one in (first.last.members if first.last else ())
-            if one.cause.name == cause.name
-        ]
-        if not there and not any(
-            _ahead(pool.problem, first.found, SingleEffect((one,), 0.0)) for one in beside
-        ):
-            continue
-        found = _fitted(pool.problem, (cause,))
-        if found is not None:
-            evidence = log_evidence(pool.problem, found, nothing, pool.settings.prior_scales)
-            member = Member(found, evidence, pool.log_prior(cause), probability=1.0)
-            begun.append(SingleEffect((member,), 0.0))
-    return begun
+    causes = pool.usual()
+    found = _fitted(pool.problem, causes) if causes else None
+    if found is None:
+        return None
+    begun = [
+        SingleEffect((Member(_with_last(pool.problem, found, cause.name), 0.0, own, 1.0),), 0.0)
+        for cause in causes
+        for own in (pool.log_prior(cause),)
+    ]
+    return found, begun
 
 
 def _odds_against(pool: CandidatePool, this: Hypothesis, other: Hypothesis) -> float:
@@ -258,20 +242,23 @@ def _odds_against(pool: CandidatePool, this: Hypothesis, other: Hypothesis) -> f
 
 
 def _ask_on(
-    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
-) -> tuple[Hypothesis, list[SingleEffect], int, SingleEffect | None]:
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: list[SingleEffect],
+    begun: list[SingleEffect],
+    most: int,
+) -> tuple[Hypothesis, list[SingleEffect], int]:
     """
-    Add effects as long as one is included; return how often was asked, too, and what was found last.
+    Add effects as long as one is included; return how often was asked, too.
 
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
-    along it were known is in the model for the time being, too; it stays if it is evident beside all
-    that was found by then.
+    along it were known is in the model for the time being, too, as is what was `begun` with; it stays
+    if it is evident beside all that was found by then.
     """
-    asked, effects = 0, list(effects)
-    tentative: list[SingleEffect] = []
-    last: SingleEffect | None = None
-    while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
+    asked, effects, tentative = 0, list(effects), list(begun)
+    most_causes = pool.settings.most_causes + len(begun)
+    while len(effects) + len(tentative) < most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
         if effect is not None and _included(effect, pool.settings):
@@ -281,10 +268,9 @@ def _ask_on(
             best = ahead
             tentative.append(SingleEffect((ahead,), effect.none))
         else:
-            last = effect
             break
         found = _fitted(pool.problem, best.found.causes) or best.found
-    return *_evident(pool, found, effects, tentative), asked, last
+    return *_evident(pool, found, effects, tentative), asked
 
 
 def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
@@ -304,30 +290,59 @@ def _evident(
     effects: Sequence[SingleEffect],
     tentative: Sequence[SingleEffect],
 ) -> tuple[Hypothesis, list[SingleEffect]]:
-    """Return a hypothesis without those tentative effects that are not evident beside all others."""
-    problem, left = pool.problem, list(tentative)
+    """
+    Return a hypothesis without those tentative effects that are not evident beside all others.
+
+    The one that the linear problem finds least evident goes first, and each is refitted without it.
+    """
+    problem, left, sure = pool.problem, list(tentative), list[SingleEffect]()
     while left:
-        odds = []
-        for effect in left:
-            base, _ = _without(problem, found, (), effect.best.cause.name)
-            more = _with_last(problem, found, effect.best.cause.name)
-            evidence = log_evidence(problem, more, base, pool.settings.prior_scales)
-            odds.append(evidence + effect.best.log_prior)
-        worst = int(np.argmin(odds))
-        if odds[worst] > _least_odds(pool.settings):
-            break
-        found, _ = _without(problem, found, (), left.pop(worst).best.cause.name)
-    return found, [*effects, *left]
+        by_linear = [_linear_odds(pool, found, effect.best.cause.name) for effect in left]
+        least = left.pop(int(np.argmin(by_linear)))
+        name = least.best.cause.name
+        base, _ = _without(problem, found, (), name)
+        more = _with_last(problem, found, name)
+        evidence = log_evidence(problem, more, base, pool.settings.prior_scales)
+        odds = evidence + least.best.log_prior
+        if odds > _log_odds(pool.settings.included_from):
+            sure.append(_with_odds(least, odds))
+        else:
+            found = base
+    return found, [*effects, *sure]
+
+
+def _linear_odds(pool: CandidatePool, found: Hypothesis, name: str) -> float:
+    """Return ln of the odds of one cause by Wald's statistic: by its value and the covariance alone."""
+    place = next(place for place, cause in enumerate(found.causes) if cause.name == name)
+    cause, own = found.causes[place], spread_of(pool.problem, found, place)
+    parameters = parameters_of(pool.problem, cause)
+    away = np.array([cause.values[item.name] - item.neutral for item in parameters])
+    gained = 0.5 * float(away @ np.linalg.pinv(own) @ away)
+    return (
+        gained
+        + log_occam(cause, parameters, own, pool.settings.prior_scales)
+        + pool.log_prior(cause)
+    )
+
+
+def _with_odds(effect: SingleEffect, log_odds: float) -> SingleEffect:
+    """Return an effect with other odds that it is there at all, and its members in proportion."""
+    none = float(expit(-log_odds))
+    total = sum(member.probability for member in effect.members)
+    members = tuple(
+        replace(member, probability=(1.0 - none) * (member.probability / total if total else 1.0))
+        for member in effect.members
+    )
+    return SingleEffect(members, none)
 
 
 def _included(effect: SingleEffect, settings: Settings) -> bool:
-    """Return whether an effect is there, beyond rounding."""
-    return effect.inclusion > settings.named_from + ROUNDING
+    """Return whether an effect is in the model; where no log tells, odds are even but for rounding."""
+    return effect.inclusion > settings.included_from + ROUNDING
 
 
-def _least_odds(settings: Settings) -> float:
-    """Return ln of the odds from which on a cause is named."""
-    return math.log(settings.named_from / (1.0 - settings.named_from))
+def _log_odds(probability: float) -> float:
+    return float(logit(probability))
 
 
 def _without(
@@ -339,29 +354,33 @@ def _without(
     return _fitted(problem, others) or evaluate(problem, others), rest
 
 
-def _feigned(
+def _instrumented(
     pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
-) -> str | None:
+) -> tuple[str | None, list[SingleEffect]]:
     """
-    Return which cause the closed loop's noise has made most plainly, if any.
+    Return which cause the closed loop's noise has made most plainly, if any; and effects as judged now.
 
     Hausman's test presumes that nothing else lacks: what another cause leaves over goes with the
-    command, too. So it is asked last, when no further cause is found.
+    command, too. So it is asked last, when no further cause is found. Where it speaks against the logs,
+    the instrument's odds are those of the effect.
     """
     problem, settings = pool.problem, pool.settings
-    worst, name = _least_odds(settings), None
+    judged: list[SingleEffect] = []
+    worst, feigned = _log_odds(settings.included_from), None
     for effect in effects:
         cause = effect.best.cause
         base, _ = _without(problem, found, (), cause.name)
         more = _with_last(problem, found, cause.name)
         gained = instrumented_gain(problem, base, more, settings.endogeneity_level)
         if gained is None:
+            judged.append(effect)
             continue
         evidence = log_evidence(problem, more, base, settings.prior_scales, gained)
         odds = evidence + pool.log_prior(more.causes[-1])
+        judged.append(_with_odds(effect, odds))
         if odds < worst:
-            worst, name = odds, cause.name
-    return name
+            worst, feigned = odds, cause.name
+    return feigned, judged
 
 
 def _with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
