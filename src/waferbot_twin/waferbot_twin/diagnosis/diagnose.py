@@ -151,10 +151,8 @@ def diagnose(
     dense, numbers = nuisance(nominal, records, settings)
     paths = [item.path for item in numbers]
     problem = Problem(nominal, records).with_prior(paths)
-    coloured = problem.with_coloured_forces()
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
-    posterior = infer(CandidatePool(coloured, effects, settings, progress, workers))
-    posterior = posterior.fitted_to(problem)
+    posterior = infer(CandidatePool(problem, effects, settings, progress, workers))
     to_estimate = Problem(nominal, estimation).with_prior(paths)
     kept, refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),

@@ -43,7 +43,7 @@ LOGS = 'logs'
 """Section of what is off in logs, and not in the machine's description."""
 
 MOST, SPREADS = 0.9, 10.0
-"""How far, as a share of its value and in its spread, a parameter may be off at most."""
+"""How far a parameter may be off: as a share of its value, or in its spread where that is nothing."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,7 @@ class Number:
     @property
     def room(self) -> tuple[float, float]:
         """How far x can go down and up."""
-        most = SPREADS * self.spread
-        if self.value:
-            return -min(MOST, most), min(MOST, most)
+        most = MOST if self.value else SPREADS * self.spread
         return -most, most
 
     @property
