@@ -94,8 +94,8 @@ def fit_causes(
 
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
     that was gained. `known` are signatures of the first causes that were found near here. Signatures are
-    found once, and then corrected by what each step has changed (equation (1)); where no step gains any
-    more they are found anew, those that are `known` excepted. Raises `UserError` if the simulation blows
+    found once, and then corrected by what each step has changed (equation (1)); where a step gains too
+    little they are found anew, those that are `known` excepted, before the fit ends. Raises `UserError` if the simulation blows
     up where the fit begins.
     """
     now, gained, linear = evaluate(problem, causes), 0.0, None
@@ -113,9 +113,13 @@ def fit_causes(
             signatures, reach = [], REACH
             continue
         gain = log_likelihood_ratio(better, now)
-        signatures, fresh = _corrected(problem, signatures, now, better), False
-        now, gained = better, gained + gain
-        if gain < max(enough, roughly * gained):
+        gained += gain
+        little = gain < max(enough, roughly * gained)
+        # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
+        again = little and not fresh and not roughly
+        signatures = [] if again else _corrected(problem, signatures, now, better)
+        now, fresh = better, False
+        if little and not again:
             break
     return now if linear is None else replace(now, covariance=linear.covariance())
 

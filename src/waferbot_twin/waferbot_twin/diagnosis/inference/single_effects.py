@@ -511,7 +511,12 @@ def _posterior(
     members: Sequence[Member],
     scales: Sequence[float],
 ) -> SingleEffect | None:
-    """Return equation (2) for fitted candidates."""
+    """
+    Return equation (2) for fitted candidates.
+
+    Which of them it is, is judged by what they do differently. Whether there is any, by that one which
+    shows it most plainly: none is no more probable than beside any of them.
+    """
     if not members:
         return None
     relative = _relative(problem, base, members, scales)
@@ -522,7 +527,7 @@ def _posterior(
     members = list(ranked.values())
     best = members[0]
     behind = np.array([relative[id(one)] - relative[id(best)] for one in members])
-    logs = best.log_odds + behind
+    logs = max(one.log_odds for one in members) + behind
     weights = np.exp(logs - max(float(logs.max()), 0.0))
     none = math.exp(-max(float(logs.max()), 0.0))
     total = float(weights.sum()) + none
