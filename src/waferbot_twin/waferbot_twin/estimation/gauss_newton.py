@@ -93,10 +93,10 @@ def fit_causes(
     Return the causes with the values that make the logs most likely.
 
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
-    that was gained. `known` are signatures of the first causes that were found near here. Signatures are
-    found once, and then corrected by what each step has changed (equation (1)); where a step gains too
-    little they are found anew, those that are `known` excepted, before the fit ends. Raises `UserError` if the simulation blows
-    up where the fit begins.
+    that was gained. `known` are signatures of the first causes that were found near here. Signatures
+    are found once, and then corrected by what each step has changed (equation (1)); where a step gains
+    too little they are found anew, those that are `known` excepted, before the fit ends. Raises
+    `UserError` if the simulation blows up where the fit begins.
     """
     now, gained, linear = evaluate(problem, causes), 0.0, None
     names = names_of(problem, causes)

@@ -95,5 +95,7 @@ def test_a_skew_of_the_dense_effect_is_that_of_a_log():
     # Forces go straight between samples, here at other times: some of it stays.
     assert off(SKEW_S) < 0.2 * off(0.0)
     assert off(0.0) < off(-SKEW_S)
-    machines = [apply_all(geared, [cause.with_values({path: skew})]).machine for skew in (0.0, SKEW_S)]
+    machines = [
+        apply_all(geared, [cause.with_values({path: skew})]).machine for skew in (0.0, SKEW_S)
+    ]
     assert machines[0] == machines[1]

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from waferbot_twin.diagnosis.inference import single_effects
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, _posterior
 from waferbot_twin.effects.effect import Parameter
@@ -151,3 +152,27 @@ def test_of_noise_none_is_the_most_probable():
 
 def test_of_no_candidates_there_is_no_posterior():
     assert _posterior(None, None, [], SETTINGS.prior_scales) is None
+
+
+def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch):
+    """The likelier of two has little evidence of its own, the other much: something is there."""
+    plain, likelier = (
+        Member(
+            SimpleNamespace(
+                causes=(SimpleNamespace(name=name),), log_likelihood=likelihood, evidence=evidence
+            ),
+            evidence,
+            PRIOR,
+        )
+        for name, likelihood, evidence in (('plain', 10.0, 25.0), ('likelier', 20.0, 1.0))
+    )
+    monkeypatch.setattr(
+        single_effects,
+        'gain',
+        lambda this, other: 0.0 if this is other else 4.0 if this is likelier.found else -4.0,
+    )
+    monkeypatch.setattr(single_effects, '_occam', lambda problem, one, base, scales: 0.0)
+    effect = _posterior(None, None, [plain, likelier], SETTINGS.prior_scales)
+    assert effect.best.cause.name == 'likelier'
+    assert effect.inclusion > 0.999
+    assert effect.best.probability == pytest.approx(1.0 / (1.0 + math.exp(-4.0)), rel=1e-3)
