@@ -413,7 +413,7 @@ def _ask_again(
             if left <= 0 or settled:
                 continue
             left -= 1
-            present = next(cause for cause in found.causes if cause.name == name)
+            present = _with_last(pool.problem, found, name)
             others = tuple(cause for cause in found.causes if cause.name != name)
             base = _fitted(pool.problem, others)
             again = _ask(pool, base, present) if base is not None else None
@@ -426,7 +426,8 @@ def _ask_again(
                 found, effects, changed = base, rest, True
                 continue
             changed |= again.best.cause.name != name
-            found = _fitted(pool.problem, again.best.found.causes) or again.best.found
+            if again.best.found is not present:
+                found = _fitted(pool.problem, again.best.found.causes) or again.best.found
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
@@ -457,27 +458,28 @@ def _fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
 
 
 def _ask(
-    pool: CandidatePool, base: Hypothesis, present: Cause | None = None
+    pool: CandidatePool, base: Hypothesis, present: Hypothesis | None = None
 ) -> SingleEffect | None:
     """
     Return the posterior of one more effect beside those of `base`.
 
-    `present` is what is there now and begins where it is. None if nothing could be fitted.
+    `present` has as its last cause what is there now, fitted with the others: from `base`, whose causes
+    have taken what they can of its work, a fit may not find back there. None if nothing could be fitted.
     """
     problem, settings = pool.problem, pool.settings
     screened = _promising(pool, pool.screen(base))
     if present is None and not screened:
         screened = _promising(pool, pool.damped_rings(base))
     if present is not None:
-        screened = [item for item in screened if item.cause.name != present.name]
-        best = screened[0].likelihood if screened else 0.0
-        screened.insert(0, Screened(present, best, np.zeros(present.free), best))
+        screened = [item for item in screened if item.cause.name != present.causes[-1].name]
     chosen = within_reach(problem, screened, settings)
-    there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
+    known_causes = base.causes if present is None else present.causes
+    there = {cause.name for cause in (*known_causes, *(item.cause for item in chosen))}
     chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
     known = pool.signatures_of(base)
     fitted = refit(problem, base, chosen, known, pool.progress, pool.workers)
     fitted += [free for one in fitted if (free := released(problem, one)) is not None]
+    fitted += [present] if present is not None else []
     fitted = [one for one in fitted if not _on_a_bound(problem, one.causes[-1])]
     members = [
         Member(
