@@ -23,7 +23,12 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, infer
+from waferbot_twin.diagnosis.inference.single_effects import (
+    Posterior,
+    SingleEffect,
+    infer,
+    infer_from_least_squares,
+)
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import Progress
@@ -152,7 +157,10 @@ def diagnose(
     paths = [item.path for item in numbers]
     problem = Problem(nominal, records).with_prior(paths)
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
-    posterior = infer(CandidatePool(problem, effects, settings, progress, workers))
+    pool = CandidatePool(problem, effects, settings, progress, workers)
+    posterior = infer(pool)
+    if len(posterior.effects) > 1 and unexplained(problem, posterior, settings):
+        posterior = infer_from_least_squares(pool, posterior)
     to_estimate = Problem(nominal, estimation).with_prior(paths)
     kept, refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),

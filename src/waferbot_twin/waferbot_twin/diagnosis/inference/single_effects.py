@@ -166,29 +166,42 @@ def infer(pool: CandidatePool) -> Posterior:
     """
     nothing = evaluate(pool.problem)
     pool.begin(nothing)
-    best = _search(pool, nothing, [], pool.settings.most_asked)
-    if len(best.effects) > 1:
-        begun = _least_squares_model(pool)
-        if begun is not None:
-            other = _search(pool, *begun, pool.settings.most_asked)
-            if _odds_against(pool, other.found, best.found) > 0.0:
-                best = other
-    return Posterior(nothing, best.found, tuple(best.effects), len(pool.names))
+    found, effects = _search(pool, nothing, [])
+    return Posterior(nothing, found, tuple(effects), len(pool.names))
 
 
-@dataclass(frozen=True)
-class _Searched:
-    """Where a search ended."""
+def infer_from_least_squares(pool: CandidatePool, first: Posterior) -> Posterior:
+    """
+    Return the more probable of a posterior and of what a search finds that begins with more.
 
-    found: Hypothesis
-    effects: list[SingleEffect]
+    It begins with what everybody fits first, all together: masses and force constants, Coulomb and
+    viscous friction and a constant force of every axis. Where most things are off, a search that adds one
+    cause at a time goes wrong: whichever comes first takes what many others leave over, and they find
+    nothing any more. Of these each stays that is evident beside all that is found.
+    """
+    causes = pool.usual()
+    begun = _fitted(pool.problem, causes) if causes else None
+    if begun is None:
+        return first
+    tentative = [
+        SingleEffect(
+            (Member(_with_last(pool.problem, begun, one.name), 0.0, pool.log_prior(one), 1.0),),
+            0.0,
+        )
+        for one in causes
+    ]
+    found, effects = _search(pool, begun, tentative)
+    if _odds_against(pool, found, first.found) <= 0.0:
+        return first
+    return replace(first, found=found, effects=tuple(effects))
 
 
 def _search(
-    pool: CandidatePool, found: Hypothesis, tentative: list[SingleEffect], most: int
-) -> _Searched:
+    pool: CandidatePool, found: Hypothesis, tentative: list[SingleEffect]
+) -> tuple[Hypothesis, list[SingleEffect]]:
     """Add effects to some, and ask for all of them anew, until none is added, changed or feigned."""
     effects: list[SingleEffect] = []
+    most = pool.settings.most_asked
     while True:
         found, effects, asked = _ask_on(pool, found, effects, tentative, most)
         most -= asked
@@ -196,31 +209,10 @@ def _search(
         most -= asked
         feigned, judged = _instrumented(pool, found, effects)
         if feigned is None:
-            return _Searched(found, judged)
+            return found, judged
         pool.leave_out(feigned)
         found, effects = _without(pool.problem, found, effects, feigned)
         tentative = []
-
-
-def _least_squares_model(pool: CandidatePool) -> tuple[Hypothesis, list[SingleEffect]] | None:
-    """
-    Return what everybody fits first, for a second search to begin with; None if it cannot be fitted.
-
-    Masses and force constants, Coulomb and viscous friction and a constant force of every axis, all
-    together. Where most things are off, a search that adds one cause at a time goes wrong: whichever
-    comes first takes what many others leave over, and they find nothing any more. Of these each stays
-    that is evident beside all that the second search has found; the more probable result counts.
-    """
-    causes = pool.usual()
-    found = _fitted(pool.problem, causes) if causes else None
-    if found is None:
-        return None
-    begun = [
-        SingleEffect((Member(_with_last(pool.problem, found, cause.name), 0.0, own, 1.0),), 0.0)
-        for cause in causes
-        for own in (pool.log_prior(cause),)
-    ]
-    return found, begun
 
 
 def _odds_against(pool: CandidatePool, this: Hypothesis, other: Hypothesis) -> float:
