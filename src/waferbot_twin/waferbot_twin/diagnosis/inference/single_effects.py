@@ -175,9 +175,9 @@ def infer_from_least_squares(pool: CandidatePool, first: Posterior) -> Posterior
     Return the more probable of a posterior and of what a search finds that begins with more.
 
     It begins with what everybody fits first, all together: masses and force constants, Coulomb and
-    viscous friction and a constant force of every axis. Where most things are off, a search that adds one
-    cause at a time goes wrong: whichever comes first takes what many others leave over, and they find
-    nothing any more. Of these each stays that is evident beside all that is found.
+    viscous friction and a constant force of every axis. Where most things are off, a search that adds
+    one cause at a time goes wrong: whichever comes first takes what many others leave over, and they
+    find nothing any more. Of these each stays that is evident beside all that is found.
     """
     causes = pool.usual()
     begun = _fitted(pool.problem, causes) if causes else None
