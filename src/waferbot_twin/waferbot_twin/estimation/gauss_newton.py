@@ -37,11 +37,16 @@ from waferbot_twin.estimation.hypothesis import (
 )
 from waferbot_twin.estimation.stacked_least_squares import (
     Signature,
+    Stacked,
     fit_jointly,
     side_by_side,
-    whitened_jointly,
 )
-from waferbot_twin.noise_model.prediction_error import Fit, reduced
+from waferbot_twin.noise_model.prediction_error import (
+    Fit,
+    in_deviations,
+    normal_equations,
+    reduced,
+)
 from waferbot_twin.noise_model.residual_spectrum import covariance
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -64,7 +69,7 @@ class Linear:
     """
     A problem about a hypothesis: change of residuals by the signatures of all its parameters.
 
-    `value` (k,) the change that makes the logs most likely, `system` (N, k) the white rows and
+    `value` (k,) the change that makes the logs most likely, `signatures` (N, k) of every channel and
     `estimate` their joint fit; `matrix` (k, k) and `right` (k,) the same problem with few rows,
     |matrix x - right|^2 to be least.
     """
@@ -72,12 +77,13 @@ class Linear:
     value: Array
     matrix: Array
     right: Array
-    system: Array
+    signatures: Sequence[Array]
     estimate: Fit
 
     def covariance(self) -> Array:
         """Return the covariance (k, k) of `value`."""
-        return covariance(self.system, self.estimate)
+        rows = in_deviations(self.estimate.colours, self.signatures)
+        return covariance(np.vstack(rows), self.estimate)
 
 
 def fit_causes(
@@ -248,8 +254,9 @@ def linearise(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(signatures, counts)
     estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
-    system, right = whitened_jointly(now.residuals, together, estimate)
-    return Linear(estimate.value, *reduced(system, right), system, estimate)
+    stacked = Stacked.of(now.residuals, together)
+    parts = normal_equations(stacked.residuals, stacked.signatures, estimate.colours)
+    return Linear(estimate.value, *reduced(parts), stacked.signatures, estimate)
 
 
 def _signatures(

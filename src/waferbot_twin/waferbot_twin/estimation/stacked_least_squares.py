@@ -9,10 +9,11 @@ block by itself is none.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_twin.noise_model.prediction_error import Fit, fit, whitened
+from waferbot_twin.noise_model.prediction_error import Fit, fit
 from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array
 
@@ -54,24 +55,27 @@ def fit_jointly(
 
     `known` is how likely the residuals are as they stand, by block, if somebody has found that already.
     """
-    blocks = list(signature)
-    colours = [colour for block in blocks for colour in known[block].colours] if known else []
-    return fit(
-        [channel for block in blocks for channel in residuals[block]],
-        [part for block in blocks for part in by_channel(signature[block], residuals[block])],
-        [noise for block in blocks for noise in problem.noises(block)],
-        rounds,
-        colours,
-    )
+    colours = [colour for block in signature for colour in known[block].colours] if known else []
+    stacked = Stacked.of(residuals, signature)
+    noises = [noise for block in signature for noise in problem.noises(block)]
+    return fit(stacked.residuals, stacked.signatures, noises, rounds, colours)
 
 
-def whitened_jointly(
-    residuals: Residuals, signature: Signature, estimate: Fit
-) -> tuple[Array, Array]:
-    """Return the white rows of all blocks (`prediction_error.whitened`) filtered as in a joint fit."""
-    blocks = list(signature)
-    return whitened(
-        [channel for block in blocks for channel in residuals[block]],
-        [part for block in blocks for part in by_channel(signature[block], residuals[block])],
-        estimate.colours,
-    )
+@dataclass(frozen=True)
+class Stacked:
+    """Residuals and signatures of all blocks, channel by channel, one block behind the other."""
+
+    residuals: list[Array]
+    signatures: list[Array]
+
+    @classmethod
+    def of(cls, residuals: Residuals, signature: Signature) -> Stacked:
+        """Stack the blocks of a signature."""
+        return cls(
+            [channel for block in signature for channel in residuals[block]],
+            [
+                part
+                for block in signature
+                for part in by_channel(signature[block], residuals[block])
+            ],
+        )

@@ -34,7 +34,7 @@ Identification, 1999, section 7.4 (likelihood of innovations).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,7 +88,7 @@ class PredictionError:
         """The order p: how many samples at the beginning are lost."""
         return len(self.own) - 1
 
-    def __call__(self, channels: Sequence[Array], place: int) -> Array:
+    def __call__(self, channels: Sequence[Array] | Mapping[int, Array], place: int) -> Array:
         """Return channel number `place`, (N,) or (N, k), filtered, without its first p samples."""
         left = filtered(self.own, channels[place])
         if self.beside:
@@ -203,11 +203,13 @@ def fit(
         bool(signatures[place].any() or (noise.beside and signatures[place + noise.beside].any()))
         for place, noise in enumerate(noises)
     ]
+    parts: list[Normal] = []
     for number in range(rounds):
         colours = standing
         if number:
             colours = _colours(_left(residuals, signatures, value), noises, standing, changes)
-        matrix, right = reduced(*whitened(residuals, signatures, colours))
+        parts = normal_equations(residuals, signatures, colours, parts)
+        matrix, right = reduced(parts)
         value = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], np.float64)
     covariance = np.asarray(np.linalg.pinv(matrix.T @ matrix, SMALLEST**2, hermitian=True))
     return _result(
@@ -215,15 +217,55 @@ def fit(
     )
 
 
-def reduced(matrix: Array, right: Array) -> tuple[Array, Array]:
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations A' A x = A' b of the white rows of a channel, (k, k) and (k,), in its colour."""
+
+    products: Array
+    moments: Array
+    colour: Colour
+
+
+def normal_equations(
+    residuals: Sequence[Array],
+    signatures: Sequence[Array],
+    colours: Sequence[Colour],
+    known: Sequence[Normal] = (),
+) -> list[Normal]:
+    """
+    Return the normal equations of every channel, white; those `known` stand where the colour does.
+
+    What changes nothing in a channel is not filtered.
+    """
+    found = []
+    for place, colour in enumerate(colours):
+        if known and known[place].colour is colour:
+            found.append(known[place])
+            continue
+        pair = signatures[place], signatures[place + colour.error.beside]
+        own = np.flatnonzero(np.any([part.any(axis=0) for part in pair], axis=0))
+        count = signatures[place].shape[1]
+        products, moments = np.zeros((count, count)), np.zeros(count)
+        if len(own):
+            beside = {place: pair[0][:, own], place + colour.error.beside: pair[1][:, own]}
+            rows = colour.error(beside, place) / colour.deviation
+            right = colour.error(residuals, place) / colour.deviation
+            products[np.ix_(own, own)] = rows.T @ rows
+            moments[own] = -(rows.T @ right)
+        found.append(Normal(products, moments, colour))
+    return found
+
+
+def reduced(parts: Sequence[Normal]) -> tuple[Array, Array]:
     """
     Return the least-squares problem |A x - b| of many rows (N, k) as one of k rows or fewer.
 
     W' A' A and W' A' b with the W of `gram.spanning`, a tenth of the time of a factorisation of A.
     """
-    products = matrix.T @ matrix
+    products = np.sum([part.products for part in parts], axis=0)
+    moments = np.sum([part.moments for part in parts], axis=0)
     directions = spanning(products)
-    return np.asarray(directions.T @ products), np.asarray(directions.T @ (matrix.T @ right))
+    return np.asarray(directions.T @ products), np.asarray(directions.T @ moments)
 
 
 def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:
