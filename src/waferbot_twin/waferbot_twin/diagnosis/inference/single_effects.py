@@ -567,16 +567,17 @@ def instrumented_gain(
     """
     Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
 
-    With z its change in the noise-free log and d that in the logs, both white, and b what `base`
-    leaves over, the instrument's estimate of the cause's size, 1 if the two agree, is z' b / z' d
+    With z its change in the noise-free log and d that in the logs, both white, and b what `base` leaves
+    over, more than it leaves in a noise-free log of its own (where counts are taken for motion, that is
+    not nothing), the instrument's estimate of the cause's size, 1 if the two agree, is z' b / z' d
     with the variance lambda z' z / (z' d)^2, lambda the power of the noise along z
     (`residual_spectrum.power_along`). None if they agree at the `level` of Hausman's test, or if the
     logs do not tell what was commanded; else the likelihood ratio of (z' b)^2 / z' z, nothing if z' b
     is negative, and what exact blocks gain.
     """
     try:
-        ideal = problem.ideal(more.causes)
-        if ideal is None:
+        ideal, own = problem.ideal(more.causes), problem.ideal(base.causes)
+        if ideal is None or own is None:
             return None
         with_it, without = (apply_all(problem.nominal, item.causes) for item in (more, base))
         signals = estimated = 0.0
@@ -592,6 +593,8 @@ def instrumented_gain(
             changes = in_deviations(fit.colours, [one - two for one, two in pairs])
             before = in_deviations(fit.colours, base.residuals[block])
             measured = [one - two for one, two in zip(before, fit.whitened, strict=True)]
+            feigned = in_deviations(fit.colours, own.residuals(without, block))
+            before = [one - two for one, two in zip(before, feigned, strict=True)]
             signals += sum(float(z @ b) for z, b in zip(changes, before, strict=True))
             estimated += sum(float(z @ d) for z, d in zip(changes, measured, strict=True))
             left += fit.whitened

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the command makes of a cause: what a block leaves over of a noise-free log is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import instrumented_gain
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.evidence import gain
+from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.synthesis import noise
+
+SEED = 5
+LEVEL = Settings().endogeneity_level
+
+
+@pytest.mark.parametrize('mismatch', [0.0, 0.01])
+def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
+    """
+    With a gearbox that gives, the motor is seen in coarse steps: gains of sensors seem 0.06 % wrong.
+
+    That is as plain in the likelihood as a true percent; the instrument tells them apart.
+    """
+    print(f'seed {SEED}')
+    nominal = Variant.of(load_model('rigid'))
+    gearbox, sensor = find('gearbox_compliance'), find('phase_gain_mismatch')
+    known = Cause(gearbox, 'y_rotate', gearbox.typical(nominal, 'y_rotate'))
+    lines = Cause(sensor, 'y_rotate', {'line_1': mismatch, 'line_2': mismatch})
+    truth = apply_all(nominal, [known, lines])
+    noisy = truth.with_overlay(noise(truth, 1.0, SEED, np.random.default_rng(SEED)))
+    twin = Twin.of(noisy.model(), Timing(), load_experiment('random_y_rotate'))
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(Timing().ticks(1.0)))])
+    base = evaluate(problem, (known,))
+    begun = lines.with_values({'line_1': 0.0, 'line_2': 0.0})
+    more = fit_causes(problem, (known, begun))
+    plain = gain(more, base)
+    assert plain > 10.0
+    by_command = instrumented_gain(problem, base, more, LEVEL)
+    if mismatch:
+        assert by_command is None or by_command > 0.5 * plain
+    else:
+        assert by_command is not None
+        assert by_command < 3.0
