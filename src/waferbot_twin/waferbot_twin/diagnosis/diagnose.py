@@ -22,13 +22,9 @@ from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
+from waferbot_twin.diagnosis.inference.search import infer, infer_from_least_squares
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import (
-    Posterior,
-    SingleEffect,
-    infer,
-    infer_from_least_squares,
-)
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import Progress

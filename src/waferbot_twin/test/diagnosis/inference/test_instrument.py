@@ -8,8 +8,8 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import instrumented_gain
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from waferbot_twin.diagnosis.inference import single_effects
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, _posterior
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, posterior_of
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.evidence import log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes
@@ -120,7 +120,7 @@ def posterior(true):
             fit_causes(problem, (Cause(term, 'x_rotate', {'size': 0.0}),)) for term in TERMS
         )
     ]
-    effect = _posterior(problem, base, members, SETTINGS.prior_scales)
+    effect = posterior_of(problem, base, members, SETTINGS.prior_scales)
     total = sum(member.probability for member in effect.members) + effect.none
     assert total == pytest.approx(1.0)
     assert list(effect.members) == sorted(effect.members, key=lambda one: -one.probability)
@@ -151,7 +151,7 @@ def test_of_noise_none_is_the_most_probable():
 
 
 def test_of_no_candidates_there_is_no_posterior():
-    assert _posterior(None, None, [], SETTINGS.prior_scales) is None
+    assert posterior_of(None, None, [], SETTINGS.prior_scales) is None
 
 
 def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch):
@@ -172,7 +172,7 @@ def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch
         lambda this, other: 0.0 if this is other else 4.0 if this is likelier.found else -4.0,
     )
     monkeypatch.setattr(single_effects, '_occam', lambda problem, one, base, scales: 0.0)
-    effect = _posterior(None, None, [plain, likelier], SETTINGS.prior_scales)
+    effect = posterior_of(None, None, [plain, likelier], SETTINGS.prior_scales)
     assert effect.best.cause.name == 'likelier'
     assert effect.inclusion > 0.999
     assert effect.best.probability == pytest.approx(1.0 / (1.0 + math.exp(-4.0)), rel=1e-3)

@@ -11,8 +11,8 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import infer
 from waferbot_twin.diagnosis.proposals.folded_back import folded_back
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.effects import find

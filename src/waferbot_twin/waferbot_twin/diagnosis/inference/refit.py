@@ -68,6 +68,14 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
     }
 
 
+def fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
+    """Return causes fitted; None if the machine does not stand with them alone."""
+    try:
+        return fit_causes(problem, causes)
+    except UserError:
+        return None
+
+
 def refit(
     problem: Problem,
     base: Hypothesis,
