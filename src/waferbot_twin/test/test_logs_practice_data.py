@@ -144,6 +144,12 @@ def diagnosis_of(tmp_path, model, mapping, finding, judging):
     return json.loads((folder / 'report.json').read_text('utf-8'))
 
 
+def diagnosis_of_pendulum(tmp_path):
+    data = path_of('dfki_simple_pendulum')
+    logs = (data / name / 'data_measured.csv' for name in ('ddp', 'direct_collocation'))
+    return diagnosis_of(tmp_path, 'geared_pendulum', 'dfki_pendulum', *logs)
+
+
 @pytest.mark.slow
 def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
     """
@@ -151,11 +157,7 @@ def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
 
     Seen: friction that grows with the force 0.43, gain 21 %; Coulomb friction alone gains 31 %.
     """
-    data = path_of('dfki_simple_pendulum')
-    finding, judging = (
-        data / name / 'data_measured.csv' for name in ('ddp', 'direct_collocation')
-    )
-    report = diagnosis_of(tmp_path, 'geared_pendulum', 'dfki_pendulum', finding, judging)
+    report = diagnosis_of_pendulum(tmp_path)
     (cause,) = report['causes']
     assert cause['probability'] < 0.95
     friction = {item['effect']: item['values'] for item in cause['credible_set']}
@@ -163,6 +165,14 @@ def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
     assert 0.15 < friction['presliding']['friction'] < 0.25
     assert report['gain']['axes']['y_rotate']['improvement_percent'] > 15.0
     assert any('1.113 times as fast' in note for note in report['notes'])
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason='21 %: friction that grows with the force is likelier here')
+def test_friction_of_the_pendulum_gains_as_much_as_coulomb_friction(tmp_path) -> None:
+    """Coulomb friction alone gains 31 %."""
+    gain = diagnosis_of_pendulum(tmp_path)['gain']
+    assert gain['axes']['y_rotate']['improvement_percent'] > 30.0
 
 
 @pytest.mark.slow

@@ -37,9 +37,6 @@ from waferbot_twin.residuals.record import Array, Record
 KNOWN_FROM = 8
 """The nu of equation (2)."""
 
-_NEVER = 1e-9
-"""Least deviation of the samples: with those of other parameters it is never so small."""
-
 
 def log_normaliser(count: int) -> float:
     """Return the c of equation (2) for n = `count`."""
@@ -54,7 +51,7 @@ class PriorBlock:
         """Take the names of parameters; `record` is any of the logs, of which there is no need."""
         self.record = record
         self.channels = ['usual deviations']
-        self.noises = [Noise(_NEVER, 0)]
+        self.noises = [Noise(0.0, 0)]
         self._names = tuple(names)
 
     def times_s(self, channel: str) -> Array:

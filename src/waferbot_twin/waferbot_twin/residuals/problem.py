@@ -219,7 +219,7 @@ class Problem:
         return Problem(self.nominal, [simulate(variant, record) for record in self.records])
 
     def with_coloured_forces(self) -> Problem:
-        """Return the same problem with noise whose forces may have a colour: to compare models."""
+        """Return the same problem with noise whose forces may have a colour: to refute causes."""
         other = copy.copy(self)
         coloured: list[BlockOfLog] = [part.with_coloured_forces() for part in self.plants]
         other.blocks = {**self.blocks, PLANT: coloured}

@@ -7,10 +7,10 @@ drive does between two samples of a log is not in it. Together they are one dens
 sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and many small
 ones), each with the prior
 
-    p = p_0 + c x,    x ~ N(0, s^2),    s the usual spread of its kind,                            (1)
+    p = p_0 + c x,    x / s ~ Student's t, all together,    s the usual spread of its kind,        (1)
 
-a part of every fit (`residuals.prior_block`). c is p_0 for what a data sheet has; for the time of a
-drive against its position p_0 is 0, c 1 s, and s what the log leaves open (`Record.skew_spread_s`). The
+a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
+time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open (`Record.skew_spread_s`). The
 dense effect competes with the causes as a whole: where one thing alone is wrong, that is far more
 probable than many which happen to look like it; where all are a little off, no one of them is a cause.
 A parameter becomes a cause, beside the dense effect, only where it is further off than (1) has it.
@@ -121,12 +121,11 @@ def _of_motors(variant: Variant, settings: Settings) -> list[Number]:
         key = f'back_emf_lead_to_lead_v_s_{"rad" if turns else "m"}'
         if motor.by_force:
             key = FORCE_KEYS[turns]
-        value = force_constant(motor)
         found.append(
             Number(
                 'motors', axis, key, settings.spread_of_force_constants,
                 f'{"torque" if turns else "force"} constant of {axis}',
-                'Nm/A' if turns else 'N/A', value,
+                'Nm/A' if turns else 'N/A', force_constant(motor),
             )
         )  # fmt: skip
     return found
