@@ -10,10 +10,11 @@ ones), each with the prior
     p = p_0 + c x,    x / s ~ Student's t, all together,    s the usual spread of its kind,        (1)
 
 a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
-time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open (`Record.skew_spread_s`). The
-dense effect competes with the causes as a whole: where one thing alone is wrong, that is far more
-probable than many which happen to look like it; where all are a little off, no one of them is a cause.
-A parameter becomes a cause, beside the dense effect, only where it is further off than (1) has it.
+time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open
+(`Record.skew_spread_s`). The dense effect competes with the causes as a whole: where one thing alone is
+wrong, that is far more probable than many which happen to look like it; where all are a little off, no
+one of them is a cause. A parameter becomes a cause, beside the dense effect, only where it is further
+off than (1) has it.
 """
 
 from __future__ import annotations
