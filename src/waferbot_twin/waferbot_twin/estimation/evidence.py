@@ -80,6 +80,9 @@ def _seen_from(
         if block == PRIOR:
             found.append(fit.log_likelihood - other.fits[block].log_likelihood)
             continue
+        if fit is other.fits[block]:
+            found += [0.0] * len(fit.colours)
+            continue
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
         changes = [one - two for one, two in zip(before, left, strict=True)]

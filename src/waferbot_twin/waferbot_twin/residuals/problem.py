@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
 
@@ -231,6 +231,14 @@ class Problem:
             return self
         other = copy.copy(self)
         other.blocks = {**self.blocks, PRIOR: [PriorBlock(self.records[0], names)]}
+        return other
+
+    def only(self, blocks: Collection[str]) -> Problem:
+        """Return the same problem with some of its blocks alone."""
+        other = copy.copy(self)
+        other.blocks = {
+            block: parts if block in blocks else [] for block, parts in self.blocks.items()
+        }
         return other
 
     def quick(self) -> Problem:

@@ -16,6 +16,7 @@ from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
+from waferbot_twin.estimation.separable import fitted_apart, fitted_behind, part_of
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -71,7 +72,7 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
 def fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
     """Return causes fitted; None if the machine does not stand with them alone."""
     try:
-        return fit_causes(problem, causes)
+        return fitted_apart(problem, causes)
     except UserError:
         return None
 
@@ -104,14 +105,14 @@ def refit(
 def _refit(
     problem: Problem, base: Hypothesis, item: Screened, known: Sequence[Signature]
 ) -> Hypothesis | None:
+    def with_it(own: Problem, beside: Hypothesis, places: Sequence[int]) -> Hypothesis:
+        start = _start(own, beside, item)
+        causes, signatures = (*beside.causes, start), [known[place] for place in places]
+        found = fit_causes(own, causes, enough=ENOUGH, known=signatures, roughly=ROUGHLY)
+        return downhill(own, start, found)
+
     try:
-        start = _start(problem, base, item)
-        causes = (*base.causes, start)
-        return downhill(
-            problem,
-            start,
-            fit_causes(problem, causes, enough=ENOUGH, known=known, roughly=ROUGHLY),
-        )
+        return fitted_behind(problem, base, item.cause, with_it)
     except UserError:
         return None
 
@@ -142,12 +143,17 @@ def released(problem: Problem, found: Hypothesis) -> Hypothesis | None:
 
     None if nothing is held, or if the simulation blows up so.
     """
-    *others, last = found.causes
-    held = [item for item in parameters_of(problem, _free(last)) if item.name in last.held]
-    if not held:
+    last = _free(found.causes[-1])
+    held = found.causes[-1].held
+    if not any(item.name in held for item in parameters_of(problem, last)):
         return None
+
+    def free(own: Problem, beside: Hypothesis, places: Sequence[int]) -> Hypothesis:
+        return fit_causes(own, (*beside.causes, last))
+
+    others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
     try:
-        return fit_causes(problem, (*others, _free(last)))
+        return fitted_behind(problem, others, last, free)
     except UserError:
         return None
 
