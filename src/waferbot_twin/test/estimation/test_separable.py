@@ -11,7 +11,13 @@ import pytest
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate
-from waferbot_twin.estimation.separable import components, fitted_apart, fitted_behind
+from waferbot_twin.estimation.separable import (
+    Behind,
+    components,
+    fitted_apart,
+    fitted_without,
+    refined,
+)
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 from waferbot_twin.residuals.problem import AMPLIFIER, CONTROLLER, PLANT, Cause
 
@@ -43,7 +49,8 @@ class Blocks:
         self.simulated = Counter() if simulated is None else simulated
 
     def only(self, blocks):
-        return Blocks(self.measured, blocks, self.simulated)
+        own = [block for block in blocks if self.blocks[block]]
+        return Blocks(self.measured, own, self.simulated)
 
     def touched(self, effect, axis):
         return tuple(b for b, names in READS.items() if self.blocks[b] and effect.name in names)
@@ -107,16 +114,36 @@ def test_one_more_cause_leaves_as_it_was_what_has_nothing_to_do_with_it(problem)
     base = fitted_apart(problem, causes('mass', 'offset'))
     (gain,) = causes('gain')
     problem.simulated.clear()
-    more = fitted_behind(
-        problem, base, gain, lambda own, beside, places: fit_causes(own, (*beside.causes, gain))
-    )
-    assert [one.name for one in more.causes] == ['mass:x', 'offset:x', 'gain:x']
+    one = Behind.of(problem, base, gain)
+    more = one.whole(fit_causes(one.problem, (*one.beside.causes, gain)))
+    assert [cause.name for cause in more.causes] == ['mass:x', 'offset:x', 'gain:x']
     assert not problem.simulated[PLANT]
     assert more.fits[PLANT] is base.fits[PLANT]
     assert more.causes[0] is base.causes[0]
     together = fit_causes(problem, causes('mass', 'offset', 'gain'))
     assert more.log_likelihood == pytest.approx(together.log_likelihood, abs=0.05)
     np.testing.assert_allclose(more.covariance, together.covariance, rtol=0.05, atol=1e-8)
+
+
+def test_one_cause_less_is_fitted_where_it_was(problem):
+    found = fitted_apart(problem, causes('mass', 'offset', 'gain'))
+    problem.simulated.clear()
+    fewer = fitted_without(problem, found, 1)
+    assert [cause.name for cause in fewer.causes] == ['mass:x', 'gain:x']
+    assert not problem.simulated[PLANT]
+    together = fit_causes(problem, causes('mass', 'gain'))
+    assert fewer.log_likelihood == pytest.approx(together.log_likelihood, abs=0.05)
+    np.testing.assert_allclose(fewer.covariance, together.covariance, rtol=0.05, atol=1e-8)
+
+
+def test_a_rough_fit_is_brought_to_its_end(problem):
+    rough = evaluate(problem, causes('offset', 'mass', 'gain'))
+    found = refined(problem, rough)
+    assert found.fits[PLANT] is rough.fits[PLANT]
+    together = fit_causes(problem, causes('offset', 'gain'))
+    assert found.causes[2].values['value'] == pytest.approx(
+        together.causes[1].values['value'], abs=2e-3
+    )
 
 
 def test_the_whole_is_the_model_with_its_causes(problem):

@@ -250,10 +250,14 @@ def _width(cause: Cause, item: Parameter) -> float:
 
 
 def linearise(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]) -> Linear:
-    """Return the linear problem about a hypothesis with the signatures of its causes."""
+    """
+    Return the linear problem about a hypothesis with the signatures of its causes.
+
+    In the colours of its residuals; those of what a step leaves over are found after the step.
+    """
     counts = [len(parameters_of(problem, cause)) for cause in now.causes]
     together = side_by_side(signatures, counts)
-    estimate = fit_jointly(problem, now.residuals, together, known=now.fits)
+    estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
     stacked = Stacked.of(now.residuals, together)
     parts = normal_equations(stacked.residuals, stacked.signatures, estimate.colours)
     return Linear(estimate.value, *reduced(parts), stacked.signatures, estimate)

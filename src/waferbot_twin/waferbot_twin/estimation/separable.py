@@ -10,7 +10,7 @@ are simulated for it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,23 +59,73 @@ def fitted_apart(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis:
     return joined(problem, [*parts, ((), evaluate(problem.only(untouched)))])
 
 
-FitOfPart = Callable[[Problem, Hypothesis, Sequence[int]], Hypothesis]
-"""From some blocks, what is known of them beside one more cause, and its places: fitted with that."""
-
-
-def fitted_behind(problem: Problem, base: Hypothesis, last: Cause, fit: FitOfPart) -> Hypothesis:
+@dataclass(frozen=True)
+class Behind:
     """
-    Return the causes of a fitted hypothesis with one more behind them.
+    What a cause behind those of a fitted hypothesis belongs together with, and what stays as it is.
 
-    Only what belongs together with that one is fitted, by `fit`; everything else stays as it is.
+    `problem` has the blocks of its component alone, `beside` says what is known of them without it, at
+    `places` in the hypothesis.
     """
-    count = len(base.causes)
-    one = next(c for c in components(problem, (*base.causes, last)) if count in c.places)
-    beside = one.places[:-1]
-    others = [place for place in range(count) if place not in beside]
-    found = fit(problem.only(one.blocks), part_of(problem, base, beside, one.blocks), beside)
-    rest = part_of(problem, base, others, frozenset(problem.blocks) - one.blocks)
-    return joined(problem, [(one.places, found), (others, rest)])
+
+    problem: Problem
+    beside: Hypothesis
+    places: tuple[int, ...]
+    _whole: Problem
+    _others: tuple[int, ...]
+    _rest: Hypothesis
+
+    @classmethod
+    def of(cls, problem: Problem, base: Hypothesis, last: Cause) -> Behind:
+        """Separate a cause that comes behind those of `base`."""
+        count = len(base.causes)
+        one = next(c for c in components(problem, (*base.causes, last)) if count in c.places)
+        beside = one.places[:-1]
+        others = tuple(place for place in range(count) if place not in beside)
+        return cls(
+            problem.only(one.blocks),
+            part_of(problem, base, beside, one.blocks),
+            beside,
+            problem,
+            others,
+            part_of(problem, base, others, frozenset(problem.blocks) - one.blocks),
+        )
+
+    def whole(self, found: Hypothesis) -> Hypothesis:
+        """Return the whole hypothesis with what was found of `problem`, the cause behind `beside`."""
+        count = len(self.places) + len(self._others)
+        return joined(self._whole, [((*self.places, count), found), (self._others, self._rest)])
+
+
+def refined(problem: Problem, found: Hypothesis) -> Hypothesis:
+    """
+    Return a hypothesis with what belongs together with its last cause fitted to the end.
+
+    Raises `UserError` if the simulation blows up where the fit begins.
+    """
+    last = found.causes[-1]
+    others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
+    one = Behind.of(problem, others, last)
+    return one.whole(fit_causes(one.problem, (*one.beside.causes, last)))
+
+
+def fitted_without(problem: Problem, found: Hypothesis, place: int) -> Hypothesis:
+    """
+    Return a hypothesis without one of its causes, what belonged together with that fitted anew.
+
+    Raises `UserError` if the machine does not stand without it.
+    """
+    one = next(c for c in components(problem, found.causes) if place in c.places)
+    beside = [other for other in one.places if other != place]
+    others = [other for other in range(len(found.causes)) if other not in one.places]
+    own = problem.only(one.blocks)
+    again = fitted_apart(own, tuple(found.causes[other] for other in beside))
+    rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
+
+    def moved_up(places: Sequence[int]) -> list[int]:
+        return [other - (other > place) for other in places]
+
+    return joined(problem, [(moved_up(beside), again), (moved_up(others), rest)])
 
 
 def part_of(

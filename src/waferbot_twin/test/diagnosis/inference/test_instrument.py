@@ -48,7 +48,7 @@ def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
     assert plain > 10.0
     by_command = instrumented_gain(problem, base, more, LEVEL)
     if mismatch:
-        assert by_command is None or by_command > 0.5 * plain
+        assert by_command is None or by_command > 20.0
     else:
         assert by_command is not None
         assert by_command < 3.0

@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
+from waferbot_twin.diagnosis.inference.refit import Refits
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
@@ -75,6 +76,7 @@ class CandidatePool:
         """Take the logs of `problem`, and every one of `effects` that they could show."""
         self.problem, self.effects, self.settings = problem, effects, settings
         self.progress, self.workers = progress, workers
+        self.refits = Refits(problem, progress, workers)
         every = candidates(problem, effects)
         self.dense = [cause for cause in every if is_nuisance(cause)]
         self._candidates = [cause for cause in every if not is_nuisance(cause)]

@@ -32,10 +32,10 @@ def instrumented_gain(
     With z its change in the noise-free log and d that in the logs, both white, and b what `base` leaves
     over, more than it leaves in a noise-free log of its own (where counts are taken for motion, that is
     not nothing), the instrument's estimate of the cause's size, 1 if the two agree, is z' b / z' d
-    with the variance lambda z' z / (z' d)^2, lambda the power of the noise along z
-    (`residual_spectrum.power_along`). None if they agree at the `level` of Hausman's test, or if the
-    logs do not tell what was commanded; else the likelihood ratio of (z' b)^2 / z' z, nothing if z' b
-    is negative, and what exact blocks gain.
+    with the variance lambda z' z / (z' d)^2, lambda the power along z of what `more` leaves over less
+    what was subtracted (`residual_spectrum.power_along`): rounding is in both. None if they agree at
+    the `level` of Hausman's test, or if the logs do not tell what was commanded; else the likelihood
+    ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks gain.
     """
     try:
         ideal, own = problem.ideal(more.causes), problem.ideal(base.causes)
@@ -59,7 +59,7 @@ def instrumented_gain(
             before = [one - two for one, two in zip(before, feigned, strict=True)]
             signals += sum(float(z @ b) for z, b in zip(changes, before, strict=True))
             estimated += sum(float(z @ d) for z, d in zip(changes, measured, strict=True))
-            left += fit.whitened
+            left += [one - two for one, two in zip(fit.whitened, feigned, strict=True)]
             along += changes
             colours += fit.colours
     except UserError:

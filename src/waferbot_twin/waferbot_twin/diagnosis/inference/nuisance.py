@@ -43,8 +43,8 @@ NAME = 'nuisance_parameters'
 LOGS = 'logs'
 """Section of what is off in logs, and not in the machine's description."""
 
-MOST, SPREADS = 0.9, 10.0
-"""How far a parameter may be off: as a share of its value, or in its spread where that is nothing."""
+SPREADS = 3.0
+"""How far a parameter may be off, in its usual spread: what is further off has a cause."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,7 @@ class Number:
     @property
     def room(self) -> tuple[float, float]:
         """How far x can go down and up."""
-        most = MOST if self.value else SPREADS * self.spread
-        return -most, most
+        return -SPREADS * self.spread, SPREADS * self.spread
 
     @property
     def path(self) -> str:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 from joblib import Parallel, delayed
 
@@ -16,7 +16,7 @@ from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
-from waferbot_twin.estimation.separable import fitted_apart, fitted_behind, part_of
+from waferbot_twin.estimation.separable import Behind, fitted_apart, fitted_without, refined
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -77,44 +77,95 @@ def fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
         return None
 
 
-def refit(
-    problem: Problem,
-    base: Hypothesis,
-    items: Sequence[Screened],
-    known: Sequence[Signature],
-    progress: Progress,
-    workers: int = 1,
-) -> list[Hypothesis]:
-    """
-    Return the causes of `base` with each of the candidates behind them, all fitted together.
+def to_the_end(problem: Problem, found: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with its last cause fitted to the end; as it is if that blows up."""
+    try:
+        return refined(problem, found)
+    except UserError:
+        return found
 
-    In the order of the candidates; those with which the simulation blows up are left out. `known` are
-    the signatures of the causes of `base`.
+
+def without(problem: Problem, found: Hypothesis, name: str) -> Hypothesis | None:
+    """Return a hypothesis without one cause, fitted anew; None if the machine does not stand so."""
+    place = next(place for place, cause in enumerate(found.causes) if cause.name == name)
+    try:
+        return fitted_without(problem, found, place)
+    except UserError:
+        return None
+
+
+class Refits:
     """
-    pool = Parallel(n_jobs=workers, return_as='generator', batch_size=1)
-    found = []
-    for number, one in enumerate(
-        pool(delayed(_refit)(problem, base, item, known) for item in items), 1
-    ):
-        progress('fitting', number, len(items))
-        if one is not None:
-            found.append(one)
-    return found
+    Candidates fitted behind the causes that are known.
+
+    What was fitted the last time is kept: where what is known has not changed in any block that goes
+    with a candidate's, it need not be fitted again.
+    """
+
+    def __init__(self, problem: Problem, progress: Progress, workers: int = 1) -> None:
+        """Take the logs, and how many are fitted at a time."""
+        self.problem, self.progress, self.workers = problem, progress, workers
+        self._last: dict[Hashable, list[Hypothesis]] = {}
+
+    def __call__(
+        self, base: Hypothesis, items: Sequence[Screened], known: Sequence[Signature]
+    ) -> list[Hypothesis]:
+        """
+        Return the causes of `base` with each of the candidates behind them, all fitted together.
+
+        In the order of the candidates, one that holds something (teeth, poles, a turn) once more with
+        that free; those with which the simulation blows up are left out. `known` are the signatures of
+        the causes of `base`.
+        """
+        separated = [Behind.of(self.problem, base, item.cause) for item in items]
+        keys = [_asked(one, item) for one, item in zip(separated, items, strict=True)]
+        new = [number for number, key in enumerate(keys) if key not in self._last]
+        pool = Parallel(n_jobs=self.workers, return_as='generator', batch_size=1)
+        tasks = (
+            delayed(_refit)(one.problem, one.beside, items[n], [known[p] for p in one.places])
+            for n in new
+            for one in (separated[n],)
+        )
+        found = {key: self._last[key] for key in keys if key in self._last}
+        for done, (number, parts) in enumerate(zip(new, pool(tasks), strict=True), 1):
+            self.progress('fitting', done, len(new))
+            found[keys[number]] = parts
+        self._last = found
+        return [
+            one.whole(part)
+            for one, key in zip(separated, keys, strict=True)
+            for part in found[key]
+        ]
+
+
+def _asked(one: Behind, item: Screened) -> Hashable:
+    """Return what a fit depends on: causes with their values, and where it begins."""
+    causes = [(cause.name, tuple(cause.values.items())) for cause in one.beside.causes]
+    own = item.cause
+    return (
+        tuple(causes), own.name, tuple(own.values.items()), own.held, own.narrow,
+        tuple(item.value.tolist()),
+    )  # fmt: skip
 
 
 def _refit(
     problem: Problem, base: Hypothesis, item: Screened, known: Sequence[Signature]
-) -> Hypothesis | None:
-    def with_it(own: Problem, beside: Hypothesis, places: Sequence[int]) -> Hypothesis:
-        start = _start(own, beside, item)
-        causes, signatures = (*beside.causes, start), [known[place] for place in places]
-        found = fit_causes(own, causes, enough=ENOUGH, known=signatures, roughly=ROUGHLY)
-        return downhill(own, start, found)
-
+) -> list[Hypothesis]:
+    """Return a candidate fitted behind `base`, and once more with what it holds; none if it blows up."""
     try:
-        return fitted_behind(problem, base, item.cause, with_it)
+        start = _start(problem, base, item)
+        found = downhill(problem, start, _roughly(problem, (*base.causes, start), known))
     except UserError:
-        return None
+        return []
+    free = _released(problem, found, known)
+    return [found] if free is None else [found, free]
+
+
+def _roughly(
+    problem: Problem, causes: tuple[Cause, ...], known: Sequence[Signature]
+) -> Hypothesis:
+    """Return causes fitted, those before the last with signatures that are known."""
+    return fit_causes(problem, causes, enough=ENOUGH, known=known, roughly=ROUGHLY)
 
 
 def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
@@ -137,7 +188,9 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
     return start
 
 
-def released(problem: Problem, found: Hypothesis) -> Hypothesis | None:
+def _released(
+    problem: Problem, found: Hypothesis, known: Sequence[Signature]
+) -> Hypothesis | None:
     """
     Return a fitted hypothesis with what its last cause holds (teeth, poles, a turn) free as well.
 
@@ -148,12 +201,8 @@ def released(problem: Problem, found: Hypothesis) -> Hypothesis | None:
     if not any(item.name in held for item in parameters_of(problem, last)):
         return None
 
-    def free(own: Problem, beside: Hypothesis, places: Sequence[int]) -> Hypothesis:
-        return fit_causes(own, (*beside.causes, last))
-
-    others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
     try:
-        return fitted_behind(problem, others, last, free)
+        return _roughly(problem, (*found.causes[:-1], last), known)
     except UserError:
         return None
 

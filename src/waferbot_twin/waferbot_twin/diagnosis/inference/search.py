@@ -20,7 +20,7 @@ from scipy.special import logit
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
-from waferbot_twin.diagnosis.inference.refit import fitted, refit, released, within_reach
+from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end, within_reach, without
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
     Member,
@@ -145,7 +145,7 @@ def _ask_on(
             tentative.append(SingleEffect((ahead,), effect.none))
         else:
             break
-        found = fitted(pool.problem, best.found.causes) or best.found
+        found = to_the_end(pool.problem, best.found)
     return *_evident(pool, found, effects, tentative), asked
 
 
@@ -215,8 +215,9 @@ def _without(
 ) -> tuple[Hypothesis, list[SingleEffect]]:
     """Return a hypothesis and its effects without one cause, the others fitted anew."""
     others = tuple(cause for cause in found.causes if cause.name != name)
+    again = without(problem, found, name)
     rest = [effect for effect in effects if effect.best.cause.name != name]
-    return fitted(problem, others) or evaluate(problem, others), rest
+    return again or evaluate(problem, others), rest
 
 
 def _instrumented(
@@ -279,8 +280,7 @@ def _ask_again(
                 continue
             left -= 1
             present = _with_last(pool.problem, found, name)
-            others = tuple(cause for cause in found.causes if cause.name != name)
-            base = fitted(pool.problem, others)
+            base = without(pool.problem, found, name)
             again = _ask(pool, base, present) if base is not None else None
             if again is None:
                 continue
@@ -292,7 +292,7 @@ def _ask_again(
                 continue
             changed |= again.best.cause.name != name
             if again.best.found is not present:
-                found = fitted(pool.problem, again.best.found.causes) or again.best.found
+                found = to_the_end(pool.problem, again.best.found)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
@@ -334,8 +334,7 @@ def _ask(
     there = {cause.name for cause in (*known_causes, *(item.cause for item in chosen))}
     chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
     known = pool.signatures_of(base)
-    refitted = refit(problem, base, chosen, known, pool.progress, pool.workers)
-    refitted += [free for one in refitted if (free := released(problem, one)) is not None]
+    refitted = pool.refits(base, chosen, known)
     refitted += [present] if present is not None else []
     refitted = [one for one in refitted if not _on_a_bound(problem, one.causes[-1])]
     members = [
