@@ -16,19 +16,20 @@ from scipy.stats import binom
 from scipy.stats import t as student
 
 from waferbot_twin.noise_model.prediction_error import (
+    FEWEST_FREEDOM,
     Noise,
     fit,
+    freedom_of,
     in_deviations,
     likelihood,
     whitened,
 )
 from waferbot_twin.noise_model.residual_spectrum import (
-    COSINES,
     Power,
-    cosines,
     covariance,
     flattened,
     log_likelihood_ratios_in,
+    on_cosines,
     power_along,
     powers_along,
     spectrum,
@@ -73,7 +74,7 @@ def test_intervals_by_the_power_along_a_direction_hold_the_truth(noise, directio
         size = float(change @ white) / square
         left = white - size * change
         power = power_along([left], [change], colours)
-        assert power.freedom == pytest.approx(COSINES)
+        assert power.freedom == pytest.approx(FEWEST_FREEDOM)
         error = math.sqrt(power.value / square)
         inside += abs(size) < student(power.freedom).ppf(0.975) * error
     print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')
@@ -90,7 +91,7 @@ def test_intervals_by_the_covariance_of_a_fit_hold_the_truth(noise):
         found = fit(channels, [signatures], [Noise(1e-9, ORDER)])
         system, _ = whitened(channels, [signatures], found.colours)
         error = np.sqrt(np.diag(covariance(system, found)))
-        inside += np.abs(found.value) < student(COSINES).ppf(0.975) * error
+        inside += np.abs(found.value) < student(FEWEST_FREEDOM).ppf(0.975) * error
     print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')
     assert np.all((inside >= FEWEST) & (inside <= MOST))
 
@@ -113,9 +114,9 @@ def test_logs_add_their_degrees_of_freedom():
     left = in_deviations(colours, logs)
     same = in_deviations(colours, [DIRECTIONS['a fast one']] * 3)
     power = power_along(left, same, colours)
-    assert COSINES < power.freedom <= 3 * COSINES
+    assert FEWEST_FREEDOM < power.freedom <= 3 * FEWEST_FREEDOM
     one_only = [same[0], np.zeros_like(same[1]), np.zeros_like(same[2])]
-    assert power_along(left, one_only, colours).freedom == pytest.approx(COSINES)
+    assert power_along(left, one_only, colours).freedom == pytest.approx(FEWEST_FREEDOM)
 
 
 def test_what_lacks_in_one_channel_does_not_hide_what_another_one_shows():
@@ -143,8 +144,18 @@ def test_a_channel_that_follows_to_the_last_bit_has_its_floor_and_nothing_to_est
 
 
 def test_cosines_have_a_mean_square_of_one_and_are_orthogonal():
-    rows = cosines(1000)
-    assert rows.T @ rows / 1000.0 == pytest.approx(np.eye(COSINES), abs=1e-9)
+    rows = on_cosines(np.eye(1000), 40)
+    assert rows @ rows.T / 1000.0 == pytest.approx(np.eye(40), abs=1e-9)
+
+
+def test_power_is_known_better_from_a_longer_log_and_from_lines_up_to_the_same_frequency():
+    assert [freedom_of(duration_s) for duration_s in (0.1, 1.0, 25.0)] == [16, 16, 400]
+    random = np.random.default_rng(SEED)
+    channel = random.normal(size=SAMPLES)
+    for freedom in (16, 64):
+        colours = likelihood([channel], [Noise(1e-9, ORDER, freedom=freedom)]).colours
+        (white,), (change,) = (in_deviations(colours, [one]) for one in (channel, channel[::-1]))
+        assert power_along([white], [change], colours).freedom == pytest.approx(freedom)
 
 
 def test_a_likelihood_ratio_is_half_of_the_squares_where_power_is_known_and_less_where_it_is_not():

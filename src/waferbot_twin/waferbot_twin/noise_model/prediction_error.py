@@ -46,6 +46,18 @@ from waferbot_twin.noise_model.variance_components import Shapes, prediction_fil
 
 Array = NDArray[np.float64]
 
+EVEN_TO_HZ, FEWEST_FREEDOM = 8.0, 16
+"""
+Up to which frequency the power of noise is taken for even, and the fewest lines that are averaged.
+
+A log of T s has 2 T f lines up to f Hz.
+"""
+
+
+def freedom_of(duration_s: float) -> int:
+    """Return how many degrees of freedom the power of noise is found with in a log."""
+    return max(FEWEST_FREEDOM, round(2.0 * EVEN_TO_HZ * duration_s))
+
 
 @dataclass(frozen=True)
 class Noise:
@@ -54,6 +66,7 @@ class Noise:
 
     `floor` is the smallest standard deviation that it can have, that of the channel's resolution: a
     perfect fit is not infinitely likely. `order` is that of the autoregression, 0 for white noise.
+    `freedom` is how many degrees of freedom its power is found with (`freedom_of`).
     `beside` says how many places further on in the list of channels that one is with which it makes
     a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
     the same times. With `shapes` the spectrum of a channel by itself is a sum of those
@@ -64,6 +77,7 @@ class Noise:
     order: int
     beside: int = 0
     shapes: Shapes | None = None
+    freedom: int = FEWEST_FREEDOM
 
     def alone(self) -> Noise:
         """Return the noise of the channel by itself."""
@@ -98,10 +112,15 @@ class PredictionError:
 
 @dataclass(frozen=True)
 class Colour:
-    """The colour of the noise in a channel: its filter, and the deviation of what that leaves."""
+    """
+    The colour of the noise in a channel: its filter, and the deviation of what that leaves.
+
+    `freedom` is that of its power (`Noise`).
+    """
 
     error: PredictionError
     deviation: float
+    freedom: int = FEWEST_FREEDOM
 
 
 RIDGE = 1e-10
@@ -291,7 +310,7 @@ def _colours(
             continue
         error = _prediction_error(left, place, noise)
         square = float(np.mean(error(left, place) ** 2))
-        found.append(Colour(error, max(math.sqrt(square), noise.floor)))
+        found.append(Colour(error, max(math.sqrt(square), noise.floor), noise.freedom))
     return found
 
 

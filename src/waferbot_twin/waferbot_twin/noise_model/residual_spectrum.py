@@ -22,13 +22,13 @@ VII.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import dct
 
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
@@ -39,12 +39,6 @@ FEWEST = 4
 
 BAND = 0.25
 """Half of a band, as a share of its middle frequency."""
-
-COSINES = 16
-"""
-K of equation (1): few enough that noise has the same power in all of them, up to K / 2T Hz in a
-log of T s.
-"""
 
 
 def spectrum(white: Array) -> Array:
@@ -94,11 +88,9 @@ class Whitening:
         ]
 
 
-@functools.lru_cache(maxsize=16)
-def cosines(count: int) -> Array:
-    """Return the first K cosines over N samples, (N, K), each of them with the mean square 1."""
-    middle = (np.arange(count) + 0.5) / count
-    return np.asarray(np.sqrt(2.0) * np.cos(np.pi * np.outer(middle, np.arange(1, COSINES + 1))))
+def on_cosines(samples: Array, count: int) -> Array:
+    """Return the sums of samples (N,) or (N, k) with the first K cosines, each of mean square 1."""
+    return np.asarray(dct(samples, axis=0)[1 : count + 1] / math.sqrt(2.0), np.float64)
 
 
 @dataclass(frozen=True)
@@ -149,8 +141,8 @@ def powers_along(
         if square == 0.0 or not colour.error.order:
             found.append(Power(1.0, math.inf))
             continue
-        own = float(np.mean((cosines(len(white)).T @ (change * white)) ** 2))
-        found.append(Power(max(own / square, 1.0), float(COSINES)))
+        own = float(np.mean((on_cosines(change * white, colour.freedom)) ** 2))
+        found.append(Power(max(own / square, 1.0), float(colour.freedom)))
     return found
 
 
@@ -206,8 +198,8 @@ def covariance(system: Array, estimate: Fit) -> Array:
     parts = np.split(rows, np.cumsum([len(white) for white in estimate.whitened])[:-1])
     for part, white, one in zip(parts, estimate.whitened, estimate.colours, strict=True):
         if one.error.order:
-            projected = cosines(len(white)).T @ (part * white[:, None])
-            noisy += projected.T @ projected / COSINES
+            projected = on_cosines(part * white[:, None], one.freedom)
+            noisy += projected.T @ projected / one.freedom
         else:
             noisy += part.T @ part
     return np.asarray(inverse @ noisy @ inverse / np.outer(scale, scale), np.float64)

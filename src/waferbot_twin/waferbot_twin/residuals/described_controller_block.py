@@ -22,7 +22,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_twin.controllers import law
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.noise_model.prediction_error import Noise, freedom_of
 from waferbot_twin.residuals.record import Array, Record
 
 FLOOR_STEPS = 0.05
@@ -80,7 +80,10 @@ class DescribedControllerBlock:
         self._late = dict.fromkeys(self._axes, 0)
         for place in self._axes:
             self._late[place] = self._shown_late(place, variant)
-        self.noises = [Noise(self._floor(place, variant), self.order) for place in self._axes]
+        freedom = freedom_of(record.duration_s)
+        self.noises = [
+            Noise(self._floor(place, variant), self.order, freedom=freedom) for place in self._axes
+        ]
 
     def times_s(self, channel: str) -> Array:
         """Return the time of every sample of a channel's residual, s from the log's beginning."""

@@ -40,7 +40,7 @@ from waferbot_plant import current_sensors, encoders, motors, windings
 from waferbot_twin.effects.places import amplified_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import open_terminals
-from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.noise_model.prediction_error import Noise, freedom_of
 from waferbot_twin.residuals.motor_motion import MotorMotion
 from waferbot_twin.residuals.record import Array, Record, common_step, mean_over_ticks
 
@@ -142,7 +142,8 @@ class AmplifierBlock(_OfLines):
             record, _commanded_places(record, variant), record.timing.servo_divider
         )
         self.channels = self._lines.channels
-        self.noises = [Noise(FLOOR_V, self.order)] * len(self.channels)
+        noise = Noise(FLOOR_V, self.order, freedom=freedom_of(record.duration_s))
+        self.noises = [noise] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the voltages of lines 1 and 2 against the mean of the three, logged less computed."""
@@ -179,7 +180,8 @@ class WindingsBlock(_OfLines):
         self._lines = _Lines(record, _finely_moved_places(record, variant), 1)
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
-        self.noises = [Noise(FLOOR_OF_TICKS_A, self.order)] * len(self.channels)
+        noise = Noise(FLOOR_OF_TICKS_A, self.order, freedom=freedom_of(record.duration_s))
+        self.noises = [noise] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""
@@ -210,7 +212,8 @@ class CurrentLoopBlock(_OfLines):
         self._lines = _Lines(record, places, record.timing.servo_divider)
         self._motion = MotorMotion(record)
         self.channels = self._lines.channels
-        self.noises = [Noise(FLOOR_A, self.order)] * len(self.channels)
+        noise = Noise(FLOOR_A, self.order, freedom=freedom_of(record.duration_s))
+        self.noises = [noise] * len(self.channels)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""

@@ -65,7 +65,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.noise_model.motion_basis import motion_basis
-from waferbot_twin.noise_model.prediction_error import Noise
+from waferbot_twin.noise_model.prediction_error import Noise, freedom_of
 from waferbot_twin.noise_model.variance_components import COLOURED_HZ, Shapes
 from waferbot_twin.residuals.flexible_observer import kalman_gains
 from waferbot_twin.residuals.record import Array, Record, common_step
@@ -161,6 +161,7 @@ class PlantBlock:
                     OBSERVER_DAMPING,
                     motion_basis(self.measured(ENCODERS[place])),
                 ),
+                freedom=freedom_of(record.duration_s),
             )
             for floor, beside, rate_hz, place in zip(
                 floors, self._beside(), self.rates_hz, self._places, strict=True
