@@ -15,7 +15,7 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.cli.demo import FINDING, JUDGING, logs
+from waferbot_twin.cli.demo import FINDING, JUDGING, make_logs
 from waferbot_twin.diagnosis.diagnose import diagnose
 from waferbot_twin.effects import library
 from waferbot_twin.effects.variant import Variant
@@ -42,10 +42,11 @@ KEPT = ('wrong_bias',)
     reason='with compliances of several axes at once other causes are named: force constant, payload',
     run=False,  # it takes ten minutes
 )
-def test_from_the_rigid_model_to_the_machine_as_built():
+def test_from_the_rigid_model_to_the_machine_as_built(tmp_path):
+    make_logs(tmp_path)
     nominal = Variant.of(load_model('rigid'))
     finding, judging = (
-        load_records([logs() / name for name in names], nominal) for names in (FINDING, JUDGING)
+        load_records([tmp_path / name for name in names], nominal) for names in (FINDING, JUDGING)
     )
     without = [
         effect.name

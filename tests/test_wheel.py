@@ -171,16 +171,19 @@ def test_its_recording_is_that_of_an_environment_with_ros(run, tmp_path):
     assert one.hashes == other.hashes
 
 
-def test_the_interface_finds_models_machines_mappings_and_the_logs_of_the_demo(run):
+def test_the_interface_finds_models_machines_mappings_and_the_logs_of_the_demo(run, tmp_path):
     done = run(
         'python',
         '-c',
         'import waferbot as wb\n'
-        'from waferbot_twin.cli.demo import logs\n'
+        'from pathlib import Path\n'
+        'from waferbot_twin.cli.demo import make_logs\n'
         'from waferbot_twin.logs.mapping import load_mapping\n'
         "print(wb.load_model('as_built'))\n"
         "print(load_mapping('emps').name)\n"
-        "print(len(wb.load_logs(logs() / 'steps')[0].to_dataframe(wb.load_model('rigid'))))\n",
+        'make_logs(Path())\n'
+        "print(len(wb.load_logs('steps')[0].to_dataframe(wb.load_model('rigid'))))\n",
+        cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
     model, mapping, rows = done.stdout.splitlines()

@@ -6,9 +6,9 @@ First three ROS 2 nodes in lock-step make a step on each axis, recorded and plot
 repeated in one process without ROS and compared bit by bit, and each node is replayed alone against the
 recording.
 
-Then logs that come with the package, of the machine as built, are diagnosed against the rigid model, as
-in chapters 4 and 6 of the thesis: what lacks, the model extended by it, and what that gains in the
-thesis' steps, beside what its flexible model gained over its rigid one.
+Then logs are made of the machine as built and diagnosed against the rigid model, as in chapters 4 and 6
+of the thesis: what lacks, the model extended by it, and what that gains in the thesis' steps, beside
+what its flexible model gained over its rigid one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,10 @@ MODEL, MACHINE = 'rigid', 'as_built'
 """The model that the logs are diagnosed against, and that of the machine that they are of."""
 
 FINDING, JUDGING = ('moves', 'random_steps'), ('steps',)
-"""Logs in `config/demo`: those that causes are found in, and the thesis' steps that judge."""
+"""Experiments in `config/demo`: those that causes are found in, and the thesis' steps that judge."""
+
+NOISE = 1.0
+"""Level of the noise in the logs (`synthesis`)."""
 
 EXAMPLES = ('waferbot demo --out demo',)
 """What `--help` shows; tests run them."""
@@ -58,7 +61,7 @@ def execute(options: argparse.Namespace) -> int:
     at_work = _at_work(options.out)
     if not options.json:
         _print(at_work)
-    diagnosis, kept = _diagnose(options.out / 'diagnosis')
+    diagnosis, kept = _diagnose(options.out)
     if options.json:
         from waferbot_twin.diagnosis.report import as_dict
 
@@ -106,31 +109,37 @@ def _at_work(folder: Path) -> dict[str, Any]:
     }
 
 
-def logs() -> Path:
-    """Return the folder of the logs that come with the package."""
-    return package_data('waferbot_twin', 'config', 'demo')
+def make_logs(folder: Path) -> None:
+    """Make the logs that are diagnosed: of the machine as built, with noise, as its logger sees it."""
+    from waferbot_twin.synthesis import synthesize
+
+    for seed, name in enumerate((*FINDING, *JUDGING), 1):
+        experiment = package_data('waferbot_twin', 'config', 'demo', f'{name}.yaml')
+        out = folder / name
+        synthesize(MACHINE, (), str(experiment), NOISE, seed, (), out, True, lambda *_: None)
 
 
 def _diagnose(folder: Path) -> tuple[Diagnosis, Kept]:
-    """Diagnose the logs that come with the package against the rigid model."""
+    """Make logs of the machine as built, and diagnose them against the rigid model."""
     from waferbot_twin.diagnosis.report import write
 
     say('Logs of the machine as built, against the rigid model: what does it get wrong?')
-    output = OutputFolder(folder, force=True)
+    make_logs(folder / 'logs')
+    output = OutputFolder(folder / 'diagnosis', force=True)
     with progress_of_stages('diagnosis') as progress:
-        found = diagnosis_of_logs(progress)
+        found = diagnosis_of_logs(folder / 'logs', progress)
     kept = keep(output, lambda place: write(found, place))
     return found, kept
 
 
-def diagnosis_of_logs(progress: Progress) -> Diagnosis:
-    """Return the diagnosis of the logs that come with the package, against the rigid model."""
+def diagnosis_of_logs(folder: Path, progress: Progress) -> Diagnosis:
+    """Return the diagnosis of the logs in a folder (`make_logs`) against the rigid model."""
     import waferbot
 
     result = waferbot.diagnose(
         waferbot.load_model(MODEL),
-        waferbot.load_logs(logs() / name for name in FINDING),
-        waferbot.load_logs(logs() / name for name in JUDGING),
+        waferbot.load_logs(folder / name for name in FINDING),
+        waferbot.load_logs(folder / name for name in JUDGING),
         progress=progress,
     )
     return result.details

@@ -319,13 +319,18 @@ class _Gain:
 
     @classmethod
     def of(
-        cls, known: _Known, left: list[Array], change: list[Array], already: Sequence[float]
+        cls,
+        known: _Known,
+        before: list[Array],
+        left: list[Array],
+        change: list[Array],
+        already: Sequence[float],
     ) -> _Gain:
-        """Take what is left over with the change, and what every channel had gained before."""
+        """Take what is left over without and with the change, and what had been gained before."""
         powers = powers_along(left, change, known.colours)
         squares = [
             more + float(one @ one) - float(two @ two)
-            for more, one, two in zip(already, known.before, left, strict=True)
+            for more, one, two in zip(already, before, left, strict=True)
         ]
         return cls(
             sum(log_likelihood_ratios_in(powers, squares)),
@@ -368,7 +373,8 @@ class _Linear:
         inverse = np.linalg.pinv((alone / scale).T @ (alone / scale), rcond=1e-10, hermitian=True)
         value = -inverse @ ((alone / scale).T @ known.left) / scale
         after = known.left + alone @ value
-        change = known.split(np.concatenate(known.before) - after)
+        # Not what known causes could explain on their own, far from their best values.
+        change = known.split(known.left - after)
         power = power_along(known.split(after), change, known.colours)
         first = [part[:, 0] for part in known.split(rows)]
         moved = [one + part for one, part in zip(known.before, first, strict=True)]
@@ -377,8 +383,8 @@ class _Linear:
             value,
             power.value * inverse / np.outer(scale, scale),
             sum(float(part @ part) for part in first) / power.value,
-            _Gain.of(known, known.split(after), change, already),
-            _Gain.of(known, moved, first, [0.0] * len(moved)),
+            _Gain.of(known, known.split(known.left), known.split(after), change, already),
+            _Gain.of(known, known.before, moved, first, [0.0] * len(moved)),
         )
 
     def as_a_whole(self, rival: Cause) -> Screened | None:
