@@ -127,7 +127,13 @@ def fit_causes(
         now, fresh = better, False
         if little and not again:
             break
-    return now if linear is None else replace(now, covariance=linear.covariance())
+    if linear is None:
+        return now
+    if roughly:
+        # Corrected signatures say where to go, not how well a value is known.
+        signatures = [*known, *_signatures(problem, now, workers, len(known))]
+        linear = linearise(problem, now, signatures)
+    return replace(now, covariance=linear.covariance())
 
 
 def _corrected(

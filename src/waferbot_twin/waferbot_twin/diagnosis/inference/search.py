@@ -19,7 +19,9 @@ import numpy as np
 from scipy.special import logit
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
+from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end, within_reach, without
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
@@ -33,7 +35,9 @@ from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
 from waferbot_twin.estimation.gauss_newton import names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
 
 ROUNDING = 0.01
 """Of a probability: fits end where a round gains some hundredths in ln L."""
@@ -127,6 +131,9 @@ def _ask_on(
     """
     Add effects as long as one is included; return how often was asked, too.
 
+    With the most probable candidate come those that are plain on their own and do something else: on
+    another axis, in another block. They would be found in the next rounds. They are tentative, too.
+
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
     along it were known is in the model for the time being, too, as is what was `begun` with; it stays
@@ -137,16 +144,64 @@ def _ask_on(
     while len(effects) + len(tentative) < most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
+        apart: list[Member] = []
         if effect is not None and _included(effect, pool.settings):
             best = effect.best
             effects.append(effect)
+            apart = _apart(pool, found, effect.members)
+            tentative += [SingleEffect((one,), effect.none) for one in apart]
         elif effect is not None and (ahead := _ahead(pool.problem, found, effect)) is not None:
             best = ahead
             tentative.append(SingleEffect((ahead,), effect.none))
         else:
             break
-        found = to_the_end(pool.problem, best.found)
+        together = (*best.found.causes, *(one.cause for one in apart))
+        found = (fitted(pool.problem, together) if apart else None) or to_the_end(
+            pool.problem, best.found
+        )
     return *_evident(pool, found, effects, tentative), asked
+
+
+def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[Member]:
+    """
+    Return those members beside the first which are plain on their own and do something else.
+
+    What two of them change is hardly correlated.
+    """
+    kept, changes = [members[0]], [_change(base, members[0])]
+    plain = _log_odds(pool.settings.named_from)
+    for one in sorted(members[1:], key=lambda member: -member.log_odds):
+        if one.log_odds <= plain:
+            break
+        change = _change(base, one)
+        by_name = not is_nuisance(one.cause) and not is_discrepancy(one.cause)
+        if by_name and all(
+            abs(change @ other) < pool.settings.correlated_from for other in changes
+        ):
+            kept.append(one)
+            changes.append(change)
+    return kept[1:]
+
+
+def _change(base: Hypothesis, member: Member) -> Array:
+    """Return what a member changes in all channels, in the noise of `base`, of length 1."""
+    rows = np.concatenate(
+        [
+            one
+            for block, fit in base.fits.items()
+            for one in in_deviations(
+                fit.colours,
+                [
+                    before - after
+                    for before, after in zip(
+                        base.residuals[block], member.found.residuals[block], strict=True
+                    )
+                ],
+            )
+        ]
+    )
+    length = float(np.linalg.norm(rows))
+    return np.asarray(rows / length if length else rows)
 
 
 def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
