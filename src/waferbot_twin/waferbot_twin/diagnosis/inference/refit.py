@@ -16,7 +16,13 @@ from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
-from waferbot_twin.estimation.separable import Behind, fitted_apart, fitted_without, refined
+from waferbot_twin.estimation.separable import (
+    Behind,
+    fitted_apart,
+    fitted_without,
+    part_of,
+    refined,
+)
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -153,7 +159,9 @@ def _refit(
 ) -> list[Hypothesis]:
     """Return a candidate fitted behind `base`, and once more with what it holds; none if it blows up."""
     try:
-        start = _start(problem, base, item)
+        blocks = frozenset(problem.touched(item.cause.effect, item.cause.axis))
+        there = part_of(problem, base, range(len(base.causes)), blocks)
+        start = _start(problem.only(blocks), there, item)
         found = downhill(problem, start, _roughly(problem, (*base.causes, start), known))
     except UserError:
         return []
