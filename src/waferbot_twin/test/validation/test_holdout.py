@@ -126,9 +126,30 @@ def test_what_the_validation_data_refute_is_withdrawn_and_what_they_do_not_show_
     estimation = [log(nominal, 'first', 'step', *hidden, PULLED)]
     validation = [log(nominal, 'second', 'random_y_linear', *hidden)]
     causes = fitted_to(Problem(nominal, estimation), (*hidden, PULLED))
-    kept, refuted = without_refuted(Problem(nominal, validation), causes, LEVEL)
-    assert [cause.name for cause in refuted] == [PULLED.name]
-    assert {cause.name for cause in kept} == {cause.name for cause in hidden}
+    judged = without_refuted(Problem(nominal, validation), causes, LEVEL)
+    assert [cause.name for cause in judged.refuted] == [PULLED.name]
+    assert {cause.name for cause in judged.kept} == {cause.name for cause in hidden}
+    assert judged.confirmed == {FRICTION.name, bias.name}
+
+
+def test_what_the_blocks_confirm_stays_where_the_closed_loop_is_further_off(nominal):
+    """
+    Twice the friction that there is, found as well as a bias that is seen to the last bit.
+
+    In closed loop the bias alone may go, or the wrong friction; only the friction may be blamed.
+    """
+    bias = Cause(find('wrong_bias'), 'y_linear', {'difference': 342.0})
+    validation = [log(nominal, 'second', 'random_y_linear', FRICTION, bias)]
+    wrong = FRICTION.with_values({'friction': 60.0})
+    found = extension_that_wins(nominal, (bias, wrong), validation, TOLERATED, {bias.name})
+    assert found.causes == (bias,)
+    assert found.withdrawn == (wrong,)
+    both = extension_that_wins(
+        nominal, (bias, wrong), validation, TOLERATED, {bias.name, wrong.name}
+    )
+    assert both.causes == (bias, wrong)
+    assert both.loses(TOLERATED)
+    assert not found.loses(TOLERATED)
 
 
 @pytest.mark.parametrize('level', [1e-3, 0.05])
@@ -144,12 +165,16 @@ def test_what_is_less_likely_than_the_level_is_refuted_the_worst_first(monkeypat
         return math.log(1.1 * level if alone and axis == AXES[1] else ratios[axis])
 
     monkeypatch.setattr('waferbot_twin.validation.holdout._gain_of', ratio)
-    kept, refuted = without_refuted(None, tuple(named.values()), level)
-    assert [cause.axis for cause in kept] == list(AXES[:2])
-    assert [cause.axis for cause in refuted] == [AXES[2]]
+    judged = without_refuted(None, tuple(named.values()), level)
+    assert [cause.axis for cause in judged.kept] == list(AXES[:2])
+    assert [cause.axis for cause in judged.refuted] == [AXES[2]]
+    assert not judged.confirmed
     ratios[AXES[1]] = ratios[AXES[2]] = 1.01 * level
-    assert without_refuted(None, tuple(named.values()), level)[1] == ()
+    assert without_refuted(None, tuple(named.values()), level).refuted == ()
     ratios[AXES[0]] = 0.99 * level
-    assert [one.axis for one in without_refuted(None, tuple(named.values()), level)[1]] == [
-        AXES[0]
-    ]
+    judged = without_refuted(None, tuple(named.values()), level)
+    assert [one.axis for one in judged.refuted] == [AXES[0]]
+    ratios |= dict.fromkeys(AXES, 1.0 / level)
+    ratios[AXES[2]] *= 1.1
+    judged = without_refuted(None, tuple(named.values()), level)
+    assert {name.split(':')[1] for name in judged.confirmed} == {AXES[2]}

@@ -158,23 +158,30 @@ def diagnose(
     if len(posterior.effects) > 1 and unexplained(problem, posterior, settings):
         posterior = infer_from_least_squares(pool, posterior)
     to_estimate = Problem(nominal, estimation).with_prior(paths)
-    kept, refuted = without_refuted(
+    judged = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
         fitted_to(to_estimate, posterior.found.causes),
         settings.refutation_level,
     )
-    named = tuple(cause for cause in kept if not is_discrepancy(cause))
-    extension = extension_that_wins(nominal, named, validation, settings.tolerated_loss)
+    named = tuple(cause for cause in judged.kept if not is_discrepancy(cause))
+    extension = extension_that_wins(
+        nominal, named, validation, settings.tolerated_loss, judged.confirmed
+    )
+    if extension.loses(settings.tolerated_loss):
+        notes.append(
+            'in closed loop the extended model is further from the validation data than the nominal '
+            'one, though they confirm each of its causes: something is missing that these depend on'
+        )
     notes += [
         f'{cause.name} was withdrawn: with values of the estimation data, the validation data refute it'
-        for cause in refuted
+        for cause in judged.refuted
         if not is_discrepancy(cause) and not is_nuisance(cause)
     ]
     notes += [
         f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
         for cause in extension.withdrawn
     ]
-    withdrawn = [*refuted, *extension.withdrawn]
+    withdrawn = [*judged.refuted, *extension.withdrawn]
     posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     left = unexplained(problem, posterior, settings)
     every = _found_causes(problem, posterior, settings)

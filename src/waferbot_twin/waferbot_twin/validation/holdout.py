@@ -10,17 +10,20 @@ Causes are fitted to the estimation data alone, and asked twice in the validatio
     P(L_1 / L_0 < level) <= level,                                                                 (1)
 
 whatever the noise: what is below is refuted. One that the validation data do not show is not. Of
-several the one that is refuted most is withdrawn, and what is left is asked again.
+several the one that is refuted most is withdrawn, and what is left is asked again. By the same
+inequality for L_0 / L_1, one with a ratio above 1 / level is confirmed.
 
 **All blocks together, in closed loop.** The extended model loses where its RMS errors, over those of the
 nominal model, have a mean square over the axes that is larger than one, by more than is tolerated.
-Then the cause without which that is smallest is withdrawn, and what is left is asked again.
+Then the cause without which that is smallest is withdrawn, and what is left is asked again. A cause
+that the blocks confirm is not to blame: in closed loop what is still missing may hide behind what is
+wrong, and one error more undo another. Where all are confirmed the loss is told, and they stay.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,6 +45,12 @@ class Extension:
     causes: tuple[Cause, ...]
     withdrawn: tuple[Cause, ...]
     gains: list[AxisGain]
+    mean_square: float = 1.0
+    """The mean over the axes of the mean square error after over that before."""
+
+    def loses(self, tolerated: float) -> bool:
+        """Return whether the extended model is further off by more than a share of the mean square."""
+        return self.mean_square > 1.0 + tolerated
 
 
 def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
@@ -52,15 +61,23 @@ def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> tuple[Cause, ..
         return causes
 
 
-def without_refuted(
-    validation: Problem, causes: tuple[Cause, ...], level: float
-) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+@dataclass(frozen=True)
+class Judged:
+    """Causes that the validation data do not refute, those that they do, names that they confirm."""
+
+    kept: tuple[Cause, ...]
+    refuted: tuple[Cause, ...]
+    confirmed: frozenset[str]
+
+
+def without_refuted(validation: Problem, causes: tuple[Cause, ...], level: float) -> Judged:
     """
-    Return those of some causes that the validation data do not refute, and the others.
+    Return what the validation data say of some causes, each block alone.
 
     Equation (1) at a `level`. Values are those of the estimation data (`fitted_to`).
     """
     kept, refuted = causes, []
+    gains_of_each: list[float] = []
     while kept:
         gains_of_each = [_gain_of(validation, kept, place) for place in range(len(kept))]
         worst = int(np.argmin(gains_of_each))
@@ -69,7 +86,12 @@ def without_refuted(
         refuted.append(kept[worst])
         # The others keep their values: fitted anew they would stand in for what was in that log alone.
         kept = (*kept[:worst], *kept[worst + 1 :])
-    return kept, tuple(refuted)
+    confirmed = {
+        cause.name
+        for cause, gained in zip(kept, gains_of_each if kept else [], strict=True)
+        if gained > -math.log(level)
+    }
+    return Judged(kept, tuple(refuted), frozenset(confirmed))
 
 
 def _gain_of(problem: Problem, causes: tuple[Cause, ...], place: int) -> float:
@@ -89,24 +111,27 @@ def extension_that_wins(
     causes: tuple[Cause, ...],
     validation: Sequence[Record],
     tolerated_loss: float,
+    confirmed: Collection[str] = (),
 ) -> Extension:
     """
     Return those of some causes, fitted to the estimation data, that win in the validation data.
 
     `tolerated_loss` is the rise of the mean square up to which nothing is lost (`inference.settings`).
+    Those `confirmed` there (`without_refuted`), by name, stay.
     Raises `UserError` if the nominal model does not run there.
     """
     kept = causes
     withdrawn: list[Cause] = []
     while kept:
         ratio, found = _ratio(nominal, kept, validation)
-        if ratio <= 1.0 + tolerated_loss:
-            return Extension(kept, tuple(withdrawn), found)
-        fewer = [(*kept[:place], *kept[place + 1 :]) for place in range(len(kept))]
+        asked = [place for place, cause in enumerate(kept) if cause.name not in confirmed]
+        if ratio <= 1.0 + tolerated_loss or (not asked and found):
+            return Extension(kept, tuple(withdrawn), found, ratio)
+        fewer = [(*kept[:place], *kept[place + 1 :]) for place in asked or range(len(kept))]
         ratios = [_ratio(nominal, one, validation)[0] for one in fewer]
-        worst = int(np.argmin(ratios))
-        withdrawn.append(kept[worst])
-        kept = fewer[worst]
+        best = int(np.argmin(ratios))
+        withdrawn += [cause for cause in kept if cause not in fewer[best]]
+        kept = fewer[best]
     return Extension((), tuple(withdrawn), gains(nominal, nominal, validation))
 
 
