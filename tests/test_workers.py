@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from harness import children_of, command_line, wait_until
 
-from waferbot_twin.cli.demo import logs
+from waferbot_twin.cli.demo import make_logs
 from waferbot_twin.engines.domain import FIRST_DOMAIN, Domain
 from waferbot_twin.workers import remove_shared_memory_of_the_dead
 
@@ -39,9 +39,10 @@ def is_running(pid):
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGKILL])
 def test_the_workers_of_a_diagnosis_end_with_it(start, tmp_path, number):
     """Without a parent they would wait for more work for five minutes, longer than we wait here."""
+    make_logs(tmp_path)
     program = start(
-        *('waferbot_twin', 'diagnose', str(logs() / 'steps'), '--model', 'rigid'),
-        *('--validate', str(logs() / 'moves'), '--out', str(tmp_path / 'out')),
+        *('waferbot_twin', 'diagnose', str(tmp_path / 'steps'), '--model', 'rigid'),
+        *('--validate', str(tmp_path / 'moves'), '--out', str(tmp_path / 'out')),
     )
     wait_until(lambda: working(program.process.pid) >= 2, 'two workers at work', program)
     family = children_of(program.process.pid)
