@@ -25,12 +25,11 @@ SEED = 5
 LEVEL = Settings().endogeneity_level
 
 
-@pytest.mark.parametrize('mismatch', [0.0, 0.01])
-def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
+def gained(mismatch):
     """
-    With a gearbox that gives, the motor is seen in coarse steps: gains of sensors seem 0.06 % wrong.
+    Return what wrong gains of the sensors of Y-Rotate gain in ln L, in the logs and by the command.
 
-    That is as plain in the likelihood as a true percent; the instrument tells them apart.
+    With a gearbox that gives, the motor is seen in coarse steps.
     """
     print(f'seed {SEED}')
     nominal = Variant.of(load_model('rigid'))
@@ -44,11 +43,29 @@ def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
     base = evaluate(problem, (known,))
     begun = lines.with_values({'line_1': 0.0, 'line_2': 0.0})
     more = fit_causes(problem, (known, begun))
-    plain = gain(more, base)
+    return gain(more, base), instrumented_gain(problem, base, more, LEVEL)
+
+
+@pytest.mark.parametrize('mismatch', [0.0, 0.01])
+def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
+    """
+    Gains of sensors seem 0.06 % wrong where none are.
+
+    That is as plain in the likelihood as a true percent; the instrument tells them apart.
+    """
+    plain, by_command = gained(mismatch)
     assert plain > 10.0
-    by_command = instrumented_gain(problem, base, more, LEVEL)
     if mismatch:
         assert by_command is None or by_command > 20.0
     else:
         assert by_command is not None
         assert by_command < 3.0
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason='rounding in the noise-free log counts as noise: 63 of 147 in ln L are left',
+)
+def test_half_of_what_a_true_percent_gains_is_left_by_the_command():
+    plain, by_command = gained(0.01)
+    assert by_command is None or by_command > 0.5 * plain

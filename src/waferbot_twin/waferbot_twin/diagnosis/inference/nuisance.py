@@ -7,7 +7,7 @@ drive does between two samples of a log is not in it. Together they are one dens
 sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and many small
 ones), each with the prior
 
-    p = p_0 + c x,    x / s ~ Student's t, all together,    s the usual spread of its kind,        (1)
+    p = p_0 + c x,    x / s ~ Student's t, all together, |x| <= 3 s,    s its usual spread,        (1)
 
 a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
 time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open

@@ -269,10 +269,11 @@ def _without(
     problem: Problem, found: Hypothesis, effects: Sequence[SingleEffect], name: str
 ) -> tuple[Hypothesis, list[SingleEffect]]:
     """Return a hypothesis and its effects without one cause, the others fitted anew."""
-    others = tuple(cause for cause in found.causes if cause.name != name)
-    again = without(problem, found, name)
     rest = [effect for effect in effects if effect.best.cause.name != name]
-    return again or evaluate(problem, others), rest
+    again = without(problem, found, name)
+    if again is None:
+        again = evaluate(problem, tuple(one for one in found.causes if one.name != name))
+    return again, rest
 
 
 def _instrumented(
