@@ -18,8 +18,8 @@ from waferbot_twin.diagnosis.proposals.modal_candidates import (
     _agrees,
     _folded,
     _in_continuous_time,
-    screen_lines,
 )
+from waferbot_twin.diagnosis.proposals.rings import Rings
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.diagnosis.proposals.spectral_lines import Line, lines
 from waferbot_twin.effects import find
@@ -109,10 +109,10 @@ def test_a_stiff_part_that_rings_is_found_by_its_line(share, seed, folds):
     problem = Problem(nominal, [replace(record, reading=np.round(record.reading + noise))])
     base = evaluate(problem)
     rivals = candidates(problem, [find(name) for name in RIVALS])
-    screened = screen_lines(problem, base, rivals, lines(problem, base))
+    screened = Rings(problem, 8)(base, rivals)
     fitted = [
         fit_causes(problem, (item.cause,))
-        for item in sorted(screened, key=lambda item: -item.score)[:3]
+        for item in sorted(screened, key=lambda item: -item.likelihood)[:3]
     ]
     best = max(fitted, key=lambda item: item.log_likelihood)
     assert [cause.name for cause in best.causes] == ['belt_compliance:y_rotate']

@@ -22,8 +22,8 @@ from waferbot_twin.diagnosis.inference.refit import Refits
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
-from waferbot_twin.diagnosis.proposals.modal_candidates import screen_lines
 from waferbot_twin.diagnosis.proposals.periodogram import at_tones
+from waferbot_twin.diagnosis.proposals.rings import Rings
 from waferbot_twin.diagnosis.proposals.screening import (
     Change,
     Progress,
@@ -32,7 +32,6 @@ from waferbot_twin.diagnosis.proposals.screening import (
     screen,
     signatures,
 )
-from waferbot_twin.diagnosis.proposals.spectral_lines import lines
 from waferbot_twin.effects.effect import Effect
 from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, signature
 from waferbot_twin.estimation.stacked_least_squares import Signature
@@ -49,9 +48,6 @@ _Values = tuple[str, tuple[tuple[str, float], ...]]
 
 _Beside = tuple[_Values, ...]
 """The causes that are known in the blocks that a candidate changes."""
-
-_Lines = tuple[_Beside, tuple[tuple[str, float, bool], ...]]
-"""The causes that are known in the plant alone, and its lines by channel and frequency."""
 
 _Asked = tuple[_Values, _Beside, _Beside]
 """A candidate, what was known when its signature was found, and what is known now."""
@@ -85,7 +81,7 @@ class CandidatePool:
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
         self._of_base: dict[_Beside, list[Signature]] = {}
-        self._at_lines: dict[_Lines, list[Screened]] = {}
+        self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
 
     def log_prior(self, cause: Cause) -> float:
@@ -167,7 +163,7 @@ class CandidatePool:
                 *self._promises(base, again, found_anew, base.causes),
                 *kept,
                 *self._promises(base, tuned, found_anew, base.causes),
-                *(item for item in self._lines(base, rivals) if item.cause.name not in taken),
+                *self._rings(base, rivals),
             ]
         )
 
@@ -217,21 +213,6 @@ class CandidatePool:
 
     def _at_first(self, candidate: Cause) -> tuple[_Values, _Beside]:
         return _values(candidate), self._that_touch(self._beside, candidate)
-
-    def _lines(self, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
-        """
-        Return what may have made the lines in what the plant leaves over.
-
-        It is asked again beside other causes in the plant alone, and where the lines are others. What a
-        sensor of a current shows goes into the plant, too, but a line that stays where it was was not
-        made by that.
-        """
-        found = lines(self.problem, base, brief=True)
-        where = tuple((line.channel, line.frequency_hz, line.brief) for line in found)
-        key = self._in_plant(base), where
-        if key not in self._at_lines:
-            self._at_lines[key] = screen_lines(self.problem, base, rivals, found, self.workers)
-        return self._at_lines[key]
 
     def damped_rings(self, base: Hypothesis) -> list[Screened]:
         """Return which compliances may make rings that no line shows, best first; slow."""

@@ -31,7 +31,7 @@ from waferbot_twin.estimation.hypothesis import (
     parameters_of,
     whole_change,
 )
-from waferbot_twin.estimation.stacked_least_squares import by_channel, fit_jointly
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, fit_jointly
 from waferbot_twin.noise_model.prediction_error import (
     Colour,
     in_deviations,
@@ -126,6 +126,12 @@ def may_ring(problem: Problem, cause: Cause) -> bool:
     return cause.effect.rings and rigid and not cause.narrow
 
 
+def same_ring(cause: Cause, other: Cause) -> bool:
+    """Return whether a compliance is so near another value that the same would be found from there."""
+    (name,) = cause.narrow
+    return abs(cause.values[name] / other.values[name] - 1.0) < CLOSE[0][-1]
+
+
 def held_rigid(problem: Problem, rivals: Iterable[Cause]) -> list[Cause]:
     """Return the compliances that may ring of which there is none yet."""
     return [
@@ -166,7 +172,7 @@ def _damped(
         if max(gain for _, gain in tried) < STANDS_OUT:
             return []
         for one in _maxima(tried):
-            best, _ = closer(problem, base, best_of(problem, base, one, SLOWER)[0])
+            best, _ = best_of(problem, base, one, SLOWER)
             there = evaluate(problem, (*base.causes, best))
             gain = 2.0 * log_likelihood_ratio(there, base)
             if gain > STANDS_OUT:
@@ -253,15 +259,15 @@ def _with_later(change: Array, channels: Sequence[Array]) -> list[Array]:
     return [np.column_stack([part, hilbert(part[:, 0]).imag]) for part in parts]
 
 
-def closer(problem: Problem, base: Hypothesis, cause: Cause) -> tuple[Cause, float]:
-    """Return the best of the values close to that of a compliance, and its gain in 2 ln L."""
+def closer(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
+    """Return the best of the values close to that of a compliance."""
     gain = -math.inf
     for close in CLOSE:
         before = gain
         cause, gain = best_of(problem, base, cause, [1.0 + share for share in close])
         if gain < max(before + ENOUGH, STANDS_OUT):
             break
-    return cause, gain
+    return cause
 
 
 def best_of(
@@ -321,18 +327,23 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     for one in _maxima(tried):
         best, gain = best_of(problem, base, one, COARSELY)
         if gain >= least:
-            refined.append(closer(problem, base, best)[0])
+            refined.append(closer(problem, base, best))
     # In any phase much suits a little: as they are, values far too soft would be the worst of all.
     return max(refined, key=lambda one: evaluate(problem, (*base.causes, one)).log_likelihood)
 
 
 def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
+    """Return the gain in 2 ln L of what a cause changes, as large and in such phase as suits best."""
+    change = whole_change(problem, base, (*base.causes, cause))
+    return gain_in_any_phase(problem, base, change)
+
+
+def gain_in_any_phase(problem: Problem, base: Hypothesis, change: Signature) -> float:
     """
-    Return the gain in 2 ln L of what a cause changes, as large and in such phase as suits best.
+    Return the gain in 2 ln L of a change, as large and in such phase as suits best.
 
     That takes the change beside itself a quarter of a cycle later.
     """
-    change = whole_change(problem, base, (*base.causes, cause))
     both = {
         block: np.vstack(_with_later(matrix, base.residuals[block]))
         for block, matrix in change.items()
@@ -349,3 +360,18 @@ def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:
         for channels in (left, before)
     )
     return 2.0 * (after - as_it_was)
+
+
+def gain_as_it_is(problem: Problem, base: Hypothesis, change: Signature) -> float:
+    """Return the gain in 2 ln L of a change of the residuals as it is."""
+    left = {
+        block: [
+            one + part[:, 0]
+            for one, part in zip(
+                base.residuals[block], by_channel(matrix, base.residuals[block]), strict=True
+            )
+        ]
+        for block, matrix in change.items()
+    }
+    changed = Hypothesis((), left, problem.judge(left))
+    return 2.0 * log_likelihood_ratio(changed, base)

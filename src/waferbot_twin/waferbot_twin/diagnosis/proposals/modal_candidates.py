@@ -13,18 +13,15 @@ has
 So each compliance is tried where one of its modes is on a line, also on one that is folded about
 multiples of half the rate of the samples (the mechanism is faster); first by the modes of the machine,
 which the steps of the simulation in time make lower, then corrected by the line that it shows. A mode
-that would show more in another encoder than that one has is not tried. Where a value changes about as
-much as the line has, others close by are tried, each in whatever phase suits best: so the ring has to
-be coherent for as long as it lasts only, not the same to a part of a cycle. From the best one a fit
-finds the rest.
+that would show more in another encoder than that one has is not tried. A value that changes about as
+much as the line has is a candidate (`rings`).
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from joblib import Parallel, delayed
@@ -32,17 +29,15 @@ from joblib import Parallel, delayed
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.modes import Mode, coupled_modes
 from waferbot_twin.diagnosis.proposals.compliance_scan import (
-    CLOSE,
     COARSELY,
     STANDS_OUT,
     NoiseFree,
-    closer,
     held_rigid,
     noise_free,
     promise,
+    same_ring,
     values_tried,
 )
-from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.diagnosis.proposals.spectral_lines import (
     NEAR,
     SAME_RATE,
@@ -71,41 +66,28 @@ CORRECTIONS = 2
 """How often a value is corrected by the line that it makes."""
 
 
-def screen_lines(
-    problem: Problem,
-    base: Hypothesis,
-    rivals: Sequence[Cause],
-    found: Sequence[Line],
-    workers: int = 1,
-) -> list[Screened]:
-    """Try every compliance that the model holds rigid at the lines that it may have made."""
-    stiff = held_rigid(problem, rivals) if found else []
+def at_line(
+    problem: Problem, base: Hypothesis, rivals: Sequence[Cause], line: Line, workers: int = 1
+) -> list[Cause]:
+    """Return every compliance that the model holds rigid where it may have made a line."""
+    stiff = held_rigid(problem, rivals)
     if not stiff:
         return []
-    ideal = noise_free(problem, base)
+    ideal = noise_free(problem, base) if line.brief else None
     pool = Parallel(n_jobs=workers, batch_size=1)
-    each = pool(delayed(_at_lines)(problem, base, cause, found, ideal) for cause in stiff)
-    return [
-        untempered(tried, 0.5 * (gain - math.log(base.samples)))
-        for at_lines in each
-        for tried, gain in at_lines
-    ]
+    each = pool(delayed(_at_line)(problem, base, cause, line, ideal) for cause in stiff)
+    return [tried for of_one in each for tried in of_one]
 
 
-def _at_lines(
-    problem: Problem,
-    base: Hypothesis,
-    cause: Cause,
-    found: Sequence[Line],
-    ideal: NoiseFree,
-) -> list[tuple[Cause, float]]:
-    """Return a compliance with each value that may have made a line, and its gain in 2 ln L there."""
+def _at_line(
+    problem: Problem, base: Hypothesis, cause: Cause, line: Line, ideal: NoiseFree | None
+) -> list[Cause]:
+    """Return a compliance with each value that may have made a line."""
     (parameter,) = parameters_of(problem, cause)
     typical = cause.with_values({parameter.name: parameter.typical})
     step_s = problem.records[0].timing.tick_s
-    begun: list[Cause] = []
-    tried: list[tuple[Cause, float]] = []
-    for mode, line in itertools.product(_own_modes(problem, base, typical), found):
+    found: list[Cause] = []
+    for mode in _own_modes(problem, base, typical):
         if not _agrees(problem, base, mode, line):
             continue
         for frequency_hz, sign in _folded(line, 0.5 / step_s):
@@ -115,20 +97,14 @@ def _at_lines(
                 continue
             start = replace(cause.with_values({parameter.name: value}), narrow=(parameter.name,))
             try:
-                found_there = _on_line(problem, base, start, line, frequency_hz, sign)
-                if found_there is None or any(_same(found_there, other) for other in begun):
-                    continue
-                begun.append(found_there)
-                tried += _refined(problem, base, found_there, line, ideal)
+                there = _on_line(problem, base, start, line, frequency_hz, sign)
+                if there is not None and not any(same_ring(there, other) for other in found):
+                    found += (
+                        [there] if ideal is None else _roughly_known(problem, base, there, ideal)
+                    )
             except UserError:  # the machine blows up with it
                 continue
-    return tried
-
-
-def _same(cause: Cause, other: Cause) -> bool:
-    """Return whether a compliance is so near another value that the same would be found from there."""
-    (name,) = cause.narrow
-    return abs(cause.values[name] / other.values[name] - 1.0) < CLOSE[0][-1]
+    return found
 
 
 def _agrees(problem: Problem, base: Hypothesis, mode: Mode, line: Line) -> bool:
@@ -221,19 +197,15 @@ def _on_line(
     return best
 
 
-def _refined(
-    problem: Problem, base: Hypothesis, cause: Cause, line: Line, ideal: NoiseFree
-) -> Iterator[tuple[Cause, float]]:
+def _roughly_known(
+    problem: Problem, base: Hypothesis, cause: Cause, ideal: NoiseFree
+) -> list[Cause]:
     """
-    Give the best value near that of a compliance, and its gain in 2 ln L, if it may gain anything.
+    Return the best value about one of which the frequency is known to some parts of a hundred only.
 
-    Of a brief line the frequency is known to some parts of a hundred only, and most are noise: others
-    about it are tried in noise-free logs first.
+    None if none gains anything: most brief lines are noise.
     """
-    if line.brief:
-        gain_of = functools.partial(promise, base, ideal)
-        tried = values_tried(problem, cause, COARSELY, gain_of)
-        cause, gain = max(tried, key=lambda item: item[1])
-        if gain < STANDS_OUT:
-            return
-    yield closer(problem, base, cause)
+    gain_of = functools.partial(promise, base, ideal)
+    tried = values_tried(problem, cause, COARSELY, gain_of)
+    best, gain = max(tried, key=lambda item: item[1])
+    return [best] if gain >= STANDS_OUT else []
