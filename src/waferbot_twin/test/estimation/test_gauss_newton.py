@@ -17,7 +17,7 @@ from waferbot_twin.effects import find
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation import gauss_newton
-from waferbot_twin.estimation.gauss_newton import _widths, fit_causes, moved
+from waferbot_twin.estimation.gauss_newton import _least, _widths, fit_causes, moved
 from waferbot_twin.models import load_model
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 from waferbot_twin.residuals.problem import PLANT, Cause
@@ -157,3 +157,28 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
     assert (tried is not None) == better
     if better:
         assert tried.log_likelihood > now.log_likelihood
+
+
+class Jump(Decay):
+    """The decay with something that is another machine as soon as there is any of it."""
+
+    def residuals(self, variant, block):
+        (left,) = super().residuals(variant, block)
+        return [left + (5.0 * np.sign(TIME_S - 0.5) if variant.get('jump', 0.0) > 0.0 else 0.0)]
+
+
+def test_a_cause_that_jumps_does_not_hold_the_others_where_they_are():
+    """Its slope is a jump over a step, so no step of all parameters together gains anything."""
+    print(f'seed {SEED}')
+    noise = np.random.default_rng(SEED).normal(0.0, 0.01, len(TIME_S))
+    begun = (*decay_causes(-10.0), Cause(Term('jump', 0.0, 1.0), 'x', {'value': 0.0}))
+    found = fit_causes(Jump(model(3.0, 7.0, 0.5) + noise), begun)
+    values = [cause.values['value'] for cause in found.causes]
+    assert values == pytest.approx([3.0, 7.0, 0.5, 0.0], rel=0.02)
+
+
+def test_what_changes_nothing_stays_where_it_is():
+    matrix = np.array([[2.0, 0.0], [0.0, 0.0]])
+    low, high = np.array([-1.0, -5.0]), np.array([1.0, 5.0])
+    assert _least(matrix, np.array([1.0, 0.0]), low, high) == pytest.approx([0.5, 0.0])
+    assert _least(np.zeros((2, 2)), np.zeros(2), low, high) == pytest.approx([0.0, 0.0])

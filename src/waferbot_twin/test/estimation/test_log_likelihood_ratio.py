@@ -67,3 +67,17 @@ def test_exact_blocks_count_by_their_own_deviation_and_can_be_asked_alone():
     expected = one.fits[CONTROLLER].log_likelihood - other.fits[CONTROLLER].log_likelihood
     assert log_likelihood_ratio(one, other) == pytest.approx(expected, rel=1e-12)
     assert log_likelihood_ratio(one, other, (PLANT,)) == 0.0
+
+
+def test_each_channel_has_the_noise_that_suits_it():
+    """What one channel gains from another noise model does not force that on its neighbour."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    noises = [Noise(1e-9, 4), Noise(1e-9, 4)]
+    here, there = coloured(random, 0.9), coloured(random, 0.5)
+    other = Hypothesis((), {PLANT: [here, there]}, {PLANT: likelihood([here, there], noises)})
+    # It explains nine tenths of the first channel, and nothing of the second one, whose noise it takes
+    # for another.
+    elsewhere = likelihood([0.1 * here, coloured(random, -0.9)], noises)
+    this = Hypothesis((), {PLANT: [0.1 * here, there]}, {PLANT: elsewhere})
+    assert log_likelihood_ratio(this, other) == pytest.approx(2996 * np.log(10.0), rel=1e-6)

@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
@@ -113,6 +114,8 @@ def fit_causes(
             signatures, fresh = [*known, *_signatures(problem, now, workers, len(known))], True
         linear = linearise(problem, now, signatures)
         better, reach = _step(problem, now, names, linear, reach)
+        if better is None and fresh and not roughly and _promised(linear) > PROMISES:
+            better, reach = _step(problem, now, names, _sound(problem, now, names, linear), REACH)
         if better is None and fresh:
             break
         if better is None:
@@ -196,7 +199,7 @@ def _step(
     is of a cause may do much, and far from in proportion.
     """
     shortest = SHORTEST
-    if float(np.sum((linear.matrix @ linear.value) ** 2)) > PROMISES:
+    if _promised(linear) > PROMISES:
         whole = float(np.max(np.abs(linear.value) / _widths(now.causes, names), initial=0.0))
         shortest *= min(1.0, whole)
     while reach >= shortest:
@@ -210,6 +213,40 @@ def _step(
         widths = _widths(now.causes, names)
         reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
     return None, reach
+
+
+def _promised(linear: Linear) -> float:
+    """Return the gain in 2 ln L that the linear problem promises."""
+    return float(np.sum((linear.matrix @ linear.value) ** 2))
+
+
+def _sound(problem: Problem, now: Hypothesis, names: Names, linear: Linear) -> Linear:
+    """
+    Return the linear problem with only those causes whose own steps, each alone, do no harm.
+
+    As soon as there is any of some, the machine is another one: a jump, which a difference shows as a
+    slope. One such cause makes every step of all others fail.
+    """
+    sound = np.zeros(len(names), np.bool_)
+    for number in range(len(now.causes)):
+        own = np.array([place == number for place, _ in names])
+        alone = _only(linear, own)
+        try:
+            tried = evaluate(
+                problem, moved(now.causes, names, _bounded(now.causes, names, alone, REACH))
+            )
+        except UserError:
+            continue
+        sound |= own & (log_likelihood_ratio(tried, now) >= 0.0)
+    return _only(linear, sound)
+
+
+def _only(linear: Linear, free: NDArray[np.bool_]) -> Linear:
+    """Return the linear problem with only some of the parameters free."""
+    matrix = np.where(free, linear.matrix, 0.0)
+    value = np.zeros(len(free))
+    value[free] = np.linalg.lstsq(linear.matrix[:, free], linear.right, rcond=None)[0]
+    return replace(linear, matrix=matrix, value=value)
 
 
 def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: float) -> Array:
@@ -232,15 +269,26 @@ def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
 
 
 def _least(matrix: Array, right: Array, low: Array, high: Array) -> Array:
-    """Return where |matrix x - right|^2 is least between bounds (which may coincide)."""
-    if not len(low):
-        return np.zeros(0)
-    scale = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    """
+    Return where |matrix x - right|^2 is least between bounds (which may coincide).
+
+    What changes nothing, a column of zeros, stays where it is.
+    """
+    norms = np.linalg.norm(matrix, axis=0)
+    free = norms > 0.0
+    least = np.zeros(len(norms))
+    if not free.any():
+        return least
+    scale, low, high = norms[free], low[free], high[free]
     margin = 1e-9 * (1.0 + np.abs(low * scale))
     found = lsq_linear(
-        matrix / scale, right, (low * scale - margin, high * scale + margin), method='bvls'
+        matrix[:, free] / scale,
+        right,
+        (low * scale - margin, high * scale + margin),
+        method='bvls',
     )
-    return np.asarray(np.clip(found.x / scale, low, high), np.float64)
+    least[free] = np.clip(found.x / scale, low, high)
+    return least
 
 
 def _widths(causes: Sequence[Cause], names: Names) -> Array:

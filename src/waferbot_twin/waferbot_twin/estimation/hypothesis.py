@@ -62,15 +62,26 @@ def log_likelihood_ratio(
 
 
 def log_likelihood_ratios(this: Hypothesis, other: Hypothesis, block: str) -> list[float]:
-    """Return equation (1) of a block channel by channel, each with that of the noise models' choice."""
+    """
+    Return equation (1) of a block channel by channel.
+
+    Each channel has noise of its own, so each has its own choice; two that are one process (`Noise`)
+    have one together.
+    """
     both = this.fits[block], other.fits[block]
     if both[0] is both[1]:
         return [0.0] * len(both[0].colours)
-    mine, others = (
-        max((log_likelihoods_with(fit.colours, item.residuals[block]) for fit in both), key=sum)
-        for item in (this, other)
-    )
-    return [one - two for one, two in zip(mine, others, strict=True)]
+    noises = both[0].noises
+    firsts = np.array([min(place, place + one.beside) for place, one in enumerate(noises)])
+
+    def most_likely(item: Hypothesis) -> Array:
+        with_each = np.array(
+            [log_likelihoods_with(fit.colours, item.residuals[block]) for fit in both]
+        )
+        together = np.array([np.bincount(firsts, own, len(firsts)) for own in with_each])
+        return np.asarray(with_each[together.argmax(axis=0)[firsts], np.arange(len(firsts))])
+
+    return [float(value) for value in most_likely(this) - most_likely(other)]
 
 
 def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
@@ -110,6 +121,14 @@ def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
     )
 
 
+def is_nothing(problem: Problem, cause: Cause) -> bool:
+    """Return whether there is nothing of a cause: all its sizes are those of the model without it."""
+    return all(
+        item.shape or cause.values[item.name] == item.neutral
+        for item in cause.effect.parameters(problem.nominal, cause.axis)
+    )
+
+
 def signature(
     problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...], place: int
 ) -> dict[str, Array]:
@@ -122,7 +141,7 @@ def signature(
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
-    absent = all(item.shape or cause.values[item.name] == item.neutral for item in parameters)
+    absent = is_nothing(problem, cause)
     found: dict[str, list[Array]] = {}
     for item in parameters:
         step = _probe(cause, item)

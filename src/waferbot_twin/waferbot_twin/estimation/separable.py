@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.gauss_newton import ENOUGH, fit_causes
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -44,17 +44,22 @@ def components(problem: Problem, causes: Sequence[Cause]) -> list[Component]:
     return sorted(found, key=lambda one: one.places)
 
 
-def fitted_apart(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis:
+def fitted_apart(
+    problem: Problem, causes: tuple[Cause, ...], workers: int = 1, enough: float = ENOUGH
+) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
-    Raises `UserError` if the simulation blows up where a fit begins.
+    A fit ends where a round gains less than `enough` in ln L. Raises `UserError` if the simulation blows
+    up where a fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
     for one in components(problem, causes):
         own = tuple(causes[place] for place in one.places)
-        parts.append((one.places, fit_causes(problem.only(one.blocks), own)))
+        parts.append(
+            (one.places, fit_causes(problem.only(one.blocks), own, workers=workers, enough=enough))
+        )
         untouched -= one.blocks
     return joined(problem, [*parts, ((), evaluate(problem.only(untouched)))])
 
@@ -97,19 +102,24 @@ class Behind:
         return joined(self._whole, [((*self.places, count), found), (self._others, self._rest)])
 
 
-def refined(problem: Problem, found: Hypothesis) -> Hypothesis:
+def refined(
+    problem: Problem, found: Hypothesis, workers: int = 1, enough: float = ENOUGH
+) -> Hypothesis:
     """
-    Return a hypothesis with what belongs together with its last cause fitted to the end.
+    Return a hypothesis with what belongs together with its last cause fitted on.
 
     Raises `UserError` if the simulation blows up where the fit begins.
     """
     last = found.causes[-1]
     others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
     one = Behind.of(problem, others, last)
-    return one.whole(fit_causes(one.problem, (*one.beside.causes, last)))
+    causes = (*one.beside.causes, last)
+    return one.whole(fit_causes(one.problem, causes, workers=workers, enough=enough))
 
 
-def fitted_without(problem: Problem, found: Hypothesis, place: int) -> Hypothesis:
+def fitted_without(
+    problem: Problem, found: Hypothesis, place: int, workers: int = 1, enough: float = ENOUGH
+) -> Hypothesis:
     """
     Return a hypothesis without one of its causes, what belonged together with that fitted anew.
 
@@ -119,7 +129,7 @@ def fitted_without(problem: Problem, found: Hypothesis, place: int) -> Hypothesi
     beside = [other for other in one.places if other != place]
     others = [other for other in range(len(found.causes)) if other not in one.places]
     own = problem.only(one.blocks)
-    again = fitted_apart(own, tuple(found.causes[other] for other in beside))
+    again = fitted_apart(own, tuple(found.causes[other] for other in beside), workers, enough)
     rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
 
     def moved_up(places: Sequence[int]) -> list[int]:
