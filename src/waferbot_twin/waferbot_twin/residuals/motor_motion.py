@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_filter
 
 from waferbot_lockstep.contract import ENCODERS
+from waferbot_plant import encoders
 from waferbot_plant.windings import motor_positions
 from waferbot_twin.residuals.record import Array, Record, common_step
 
@@ -30,6 +31,13 @@ A cubic over 1.2 ms (as noisy as a quintic over 2.1 ms) loses so much of a fast 
 the currents seem 0.03 % wrong, which in a quiet log is a cause; this one leaves half of that. Over
 less there is little to win, and the counts show.
 """
+
+
+DELAYS = ('encoder_delay', 'delay_fraction')
+"""Parameters of encoders that move no reading."""
+
+KEPT = 4
+"""Motions that are kept, 24 bytes for each reading."""
 
 
 class MotorMotion:
@@ -44,6 +52,7 @@ class MotorMotion:
             counts += [0.5 * max(1, common_step(column)) for column in counts.T]
         counts[:, ~np.isfinite(counts).all(axis=0)] = 0.0
         self._counts = counts
+        self._smoothed: dict[bytes, Array] = {}
 
     def positions(self, parameters: np.ndarray) -> Array:
         """
@@ -52,7 +61,7 @@ class MotorMotion:
         As the encoders of `parameters` (`WINDING_PARAMETERS`) see them.
         """
         p = parameters[0]
-        read = savgol_filter(motor_positions(parameters, self._counts), SMOOTHED, DEGREE, axis=0)
+        read = self._at_readings(parameters)
         rows = np.arange(self._ticks + 1) / self._timing.encoder_divider
         position = np.zeros((self._ticks + 1, read.shape[1]))
         for encoder in range(len(ENCODERS)):
@@ -66,3 +75,14 @@ class MotorMotion:
             spline = CubicSpline(np.arange(len(read)), read[:, motor])
             position[:, motor] = spline(rows + late - behind) + speed * behind
         return position
+
+    def _at_readings(self, parameters: np.ndarray) -> Array:
+        """Return the smoothed positions (readings, 3): the last of them are kept, fits ask for few."""
+        fields = (name for name, *_ in encoders.PARAMETER_FIELDS if name not in DELAYS)
+        key = b''.join(parameters[0][name].tobytes() for name in fields)
+        if key not in self._smoothed:
+            while len(self._smoothed) >= KEPT:
+                self._smoothed.pop(next(iter(self._smoothed)))
+            read = motor_positions(parameters, self._counts)
+            self._smoothed[key] = savgol_filter(read, SMOOTHED, DEGREE, axis=0)
+        return self._smoothed[key]

@@ -47,7 +47,7 @@ from waferbot_twin.diagnosis.proposals.spectral_lines import (
     strongest,
 )
 from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of, whole_change
-from waferbot_twin.estimation.stacked_least_squares import by_channel
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 
 OWN = 0.3
@@ -62,14 +62,17 @@ of it is shaken by more than the right one is.
 FOLDS = 2
 """Up to which multiple of the rate of the samples a ring may lie."""
 
-CORRECTIONS = 2
-"""How often a value is corrected by the line that it makes."""
+Ring = tuple[Cause, Signature]
+"""A compliance at a value, and what it changes there."""
+
+CORRECTIONS, ALMOST = 2, 0.001
+"""How often at most a value is corrected by the line that it makes, and by what share at least."""
 
 
 def at_line(
     problem: Problem, base: Hypothesis, rivals: Sequence[Cause], line: Line, workers: int = 1
-) -> list[Cause]:
-    """Return every compliance that the model holds rigid where it may have made a line."""
+) -> list[Ring]:
+    """Return every compliance that the model holds rigid where it may have made a line, as a ring."""
     stiff = held_rigid(problem, rivals)
     if not stiff:
         return []
@@ -79,14 +82,19 @@ def at_line(
     return [tried for of_one in each for tried in of_one]
 
 
+def ring_of(problem: Problem, base: Hypothesis, cause: Cause) -> Ring:
+    """Return a compliance with what it changes; raises `UserError` if the machine blows up with it."""
+    return cause, whole_change(problem, base, (*base.causes, cause))
+
+
 def _at_line(
     problem: Problem, base: Hypothesis, cause: Cause, line: Line, ideal: NoiseFree | None
-) -> list[Cause]:
-    """Return a compliance with each value that may have made a line."""
+) -> list[Ring]:
+    """Return a compliance with each value that may have made a line, as a ring."""
     (parameter,) = parameters_of(problem, cause)
     typical = cause.with_values({parameter.name: parameter.typical})
     step_s = problem.records[0].timing.tick_s
-    found: list[Cause] = []
+    found: list[Ring] = []
     for mode in _own_modes(problem, base, typical):
         if not _agrees(problem, base, mode, line):
             continue
@@ -98,10 +106,11 @@ def _at_line(
             start = replace(cause.with_values({parameter.name: value}), narrow=(parameter.name,))
             try:
                 there = _on_line(problem, base, start, line, frequency_hz, sign)
-                if there is not None and not any(same_ring(there, other) for other in found):
-                    found += (
-                        [there] if ideal is None else _roughly_known(problem, base, there, ideal)
-                    )
+                if there is None or any(same_ring(there[0], other) for other, _ in found):
+                    continue
+                found += (
+                    [there] if ideal is None else _roughly_known(problem, base, there[0], ideal)
+                )
             except UserError:  # the machine blows up with it
                 continue
     return found
@@ -176,7 +185,7 @@ def _on_line(
     line: Line,
     frequency_hz: float,
     sign: float,
-) -> Cause | None:
+) -> Ring | None:
     """
     Return a compliance corrected by the line that it shows; none if that is far from as strong.
 
@@ -185,21 +194,23 @@ def _on_line(
     (name,) = start.narrow
     measured_hz, measured = line_at(problem, base.residuals[PLANT], line, NEAR * line.frequency_hz)
     best = start
-    for _ in range(CORRECTIONS):
-        change = whole_change(problem, base, (*base.causes, best))[PLANT]
-        channels = by_channel(change[:, 0], base.residuals[PLANT])
+    for _ in range(CORRECTIONS + 1):
+        change = whole_change(problem, base, (*base.causes, best))
+        channels = by_channel(change[PLANT][:, 0], base.residuals[PLANT])
         shown_hz, shown = line_at(problem, channels, line, NEAR * frequency_hz)
         if not measured / ALIKE < shown < measured * ALIKE:
             return None
-        too_high_hz = sign * (shown_hz - measured_hz)
-        factor = (1.0 + too_high_hz / frequency_hz) ** 2
+        factor = (1.0 + sign * (shown_hz - measured_hz) / frequency_hz) ** 2
+        ring = best, change
+        if abs(factor - 1.0) < ALMOST:
+            break
         best = best.with_values({name: best.values[name] * factor})
-    return best
+    return ring
 
 
 def _roughly_known(
     problem: Problem, base: Hypothesis, cause: Cause, ideal: NoiseFree
-) -> list[Cause]:
+) -> list[Ring]:
     """
     Return the best value about one of which the frequency is known to some parts of a hundred only.
 
@@ -208,4 +219,4 @@ def _roughly_known(
     gain_of = functools.partial(promise, base, ideal)
     tried = values_tried(problem, cause, COARSELY, gain_of)
     best, gain = max(tried, key=lambda item: item[1])
-    return [best] if gain >= STANDS_OUT else []
+    return [ring_of(problem, base, best)] if gain >= STANDS_OUT else []

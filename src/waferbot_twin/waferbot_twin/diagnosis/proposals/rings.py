@@ -23,15 +23,11 @@ from waferbot_twin.diagnosis.proposals.compliance_scan import (
     gain_in_any_phase,
     same_ring,
 )
-from waferbot_twin.diagnosis.proposals.modal_candidates import at_line
+from waferbot_twin.diagnosis.proposals.modal_candidates import Ring, at_line, ring_of
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.diagnosis.proposals.spectral_lines import Line, lines
-from waferbot_twin.estimation.hypothesis import Hypothesis, whole_change
-from waferbot_twin.estimation.stacked_least_squares import Signature
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import Cause, Problem
-
-_Ring = tuple[Cause, Signature]
-"""A compliance at a value, and what it changes there."""
 
 _Place = tuple[tuple[str, ...], str, float, bool]
 """What gives in the model already; channel and frequency of a line, and whether it is brief."""
@@ -43,14 +39,14 @@ class Rings:
     def __init__(self, problem: Problem, most: int, workers: int = 1) -> None:
         """Take the logs, how many values are tried closer for an answer, and how many at a time."""
         self.problem, self.most, self.workers = problem, most, workers
-        self._at_lines: dict[_Place, list[_Ring]] = {}
-        self._closer: dict[tuple[tuple[str, ...], str, float], _Ring | None] = {}
+        self._at_lines: dict[_Place, list[Ring]] = {}
+        self._closer: dict[tuple[tuple[str, ...], str, float], Ring | None] = {}
 
     def __call__(self, base: Hypothesis, rivals: Sequence[Cause]) -> list[Screened]:
         """Return which of the rivals may have made lines in what `base` leaves over."""
         there = tuple(cause.name for cause in base.causes if cause.effect.rings)
         names = {cause.name for cause in rivals}
-        begun: list[_Ring] = []
+        begun: list[Ring] = []
         for line in lines(self.problem, base):
             for ring in self._at(line, there, base, rivals):
                 known = any(
@@ -70,19 +66,16 @@ class Rings:
 
     def _at(
         self, line: Line, there: tuple[str, ...], base: Hypothesis, rivals: Sequence[Cause]
-    ) -> list[_Ring]:
+    ) -> list[Ring]:
         """Return the rings that a line may be."""
         key = there, line.channel, line.frequency_hz, line.brief
         if key not in self._at_lines:
-            causes = at_line(self.problem, base, rivals, line, self.workers)
-            pool = Parallel(n_jobs=self.workers)
-            found = pool(delayed(_ring)(self.problem, base, cause) for cause in causes)
-            self._at_lines[key] = [ring for ring in found if ring is not None]
+            self._at_lines[key] = at_line(self.problem, base, rivals, line, self.workers)
         return self._at_lines[key]
 
     def _tried_closer(
         self, base: Hypothesis, there: tuple[str, ...], causes: Sequence[Cause]
-    ) -> list[_Ring]:
+    ) -> list[Ring]:
         """Return each compliance at the best value close to the one that it has."""
         keys = [(there, cause.name, cause.values[cause.narrow[0]]) for cause in causes]
         new = [place for place, key in enumerate(keys) if key not in self._closer]
@@ -92,16 +85,8 @@ class Rings:
         return [ring for key in keys if (ring := self._closer[key]) is not None]
 
 
-def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> _Ring | None:
+def _closer(problem: Problem, base: Hypothesis, cause: Cause) -> Ring | None:
     try:
-        return _ring(problem, base, closer(problem, base, cause))
-    except UserError:
-        return None
-
-
-def _ring(problem: Problem, base: Hypothesis, cause: Cause) -> _Ring | None:
-    """Return a compliance with what it changes; None if the machine blows up with it."""
-    try:
-        return cause, whole_change(problem, base, (*base.causes, cause))
+        return ring_of(problem, base, closer(problem, base, cause))
     except UserError:
         return None

@@ -40,6 +40,7 @@ from waferbot_twin.estimation.hypothesis import (
     whole_change,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
+from waferbot_twin.noise_model.gram import spanning
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
     log_likelihood_ratios_in,
@@ -204,8 +205,16 @@ def screen(
 
     `scales` are those of the prior of sizes (`estimation.evidence`).
     """
-    asked = [pair for pair in zip(rivals, of_rivals, strict=True) if pair[1] is not None]
-    chunks = [asked[first : first + CHUNK] for first in range(0, len(asked), CHUNK)]
+    alike: dict[tuple[str, ...], list[tuple[Cause, Change]]] = {}
+    for rival, change in zip(rivals, of_rivals, strict=True):
+        if change is not None:
+            alike.setdefault(tuple(change.signature), []).append((rival, change))
+    # What is known in some blocks is prepared once for all candidates that a worker takes.
+    chunks = [
+        asked[first::workers]
+        for asked in alike.values()
+        for first in range(min(workers, len(asked)))
+    ]
     pool = Parallel(n_jobs=workers if len(chunks) > 1 else 1)
     parts = pool(delayed(_screen)(problem, base, chunk, of_base, scales) for chunk in chunks)
     found = [item for part in parts for item in part]
@@ -244,6 +253,41 @@ def _screen(
     return found
 
 
+ALIKE = 0.5
+"""Share of what a cause does that a candidate can do, from which on it may be that in place of it."""
+
+
+def alike(
+    base: Hypothesis,
+    own: Signature,
+    rivals: Sequence[tuple[Cause, Change]],
+    beside: Signature,
+) -> list[Cause]:
+    """
+    Return which of the rivals can do what a cause does (`own`, as a whole), beside what is known.
+
+    With what known causes (`beside`) could explain taken out of both: the share R^2 of the square sum of
+    the one's change, white, that least squares on the other's signature explain.
+    """
+    blocks = tuple(dict.fromkeys([*own, *(name for name in (PRIOR,) if name in beside)]))
+    known = _Known.of(base, beside, blocks)
+    wanted = _without(
+        np.vstack(_in_places(known.places, known.before, _white(base, own))), known.columns
+    )
+    found = []
+    for rival, change in rivals:
+        signature = {block: part for block, part in change.signature.items() if block in own}
+        if not any(part.any() for part in signature.values()):
+            continue
+        rows = np.vstack(_in_places(known.places, known.before, _white(base, signature)))
+        alone = _without(rows, known.columns)
+        alone /= np.maximum(np.linalg.norm(alone, axis=0), 1e-300)
+        size = np.linalg.lstsq(alone.T @ alone, alone.T @ wanted, rcond=1e-10)[0]
+        if float(np.sum((wanted - alone @ size) ** 2)) < (1.0 - ALIKE) * float(np.sum(wanted**2)):
+            found.append(rival)
+    return found
+
+
 _White = dict[str, list[Array]]
 """By block, the white signature of every channel: (N, k)."""
 
@@ -254,10 +298,6 @@ def _white(base: Hypothesis, signature: Signature) -> _White:
         block: in_deviations(base.fits[block].colours, by_channel(matrix, base.residuals[block]))
         for block, matrix in signature.items()
     }
-
-
-SMALLEST = 1e-5
-"""Singular value, over the largest, of known causes that do something of their own."""
 
 
 @dataclass(frozen=True)
@@ -284,9 +324,7 @@ class _Known:
         places = [(b, n) for b in blocks for n in range(len(about.fits[b].whitened))]
         others = _white(about, {block: beside[block] for block in blocks if block in beside})
         system = np.vstack(_in_places(places, before, others))
-        scale = np.linalg.norm(system, axis=0)
-        columns, sizes, _ = np.linalg.svd(system[:, scale > 0.0] / scale[scale > 0.0], False)
-        columns = columns[:, sizes > SMALLEST * sizes.max(initial=0.0)]
+        columns = system @ spanning(system.T @ system)
         left = _without(np.concatenate(before), columns)
         return cls(places, [one for fit in fits for one in fit.colours], before, left, columns)
 

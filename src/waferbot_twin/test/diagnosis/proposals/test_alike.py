@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which candidates can do what a cause does, beside what is known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from waferbot_twin.diagnosis.proposals.screening import Change, alike
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.noise_model.prediction_error import Noise, likelihood
+
+PLANT, CONTROLLER = 'plant', 'controller'
+SEED = 20261126
+
+
+def test_what_does_most_of_it_may_be_in_its_place():
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    noise = {PLANT: [random.standard_normal(2000)], CONTROLLER: [random.standard_normal(500)]}
+    fits = {block: likelihood(left, [Noise(1e-9, 0)]) for block, left in noise.items()}
+    base = Hypothesis((), noise, fits)
+    own, known, other = random.standard_normal((3, 2000))
+
+    def mixed(share):
+        return np.sqrt(share) * own + np.sqrt(1.0 - share) * other
+
+    rivals = {
+        'most of it': {PLANT: 3.0 * mixed(0.6)[:, None]},
+        'less than half': {PLANT: mixed(0.4)[:, None]},
+        'by two parameters': {PLANT: np.column_stack([mixed(0.4), other])},
+        'with what is known': {PLANT: (own + 5.0 * known)[:, None]},
+        'known alone': {PLANT: known[:, None]},
+        'elsewhere': {CONTROLLER: random.standard_normal((500, 1))},
+        'nothing': {PLANT: np.zeros((2000, 1))},
+    }
+    changes = [(name, Change(signature)) for name, signature in rivals.items()]
+    whole = {PLANT: (own + 2.0 * known)[:, None]}
+    assert alike(base, whole, changes, {PLANT: known[:, None]}) == [
+        'most of it',
+        'by two parameters',
+        'with what is known',
+    ]
