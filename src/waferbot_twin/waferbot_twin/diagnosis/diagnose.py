@@ -22,7 +22,7 @@ from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
-from waferbot_twin.diagnosis.inference.search import infer, infer_from_least_squares
+from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
@@ -155,8 +155,6 @@ def diagnose(
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
-    if len(posterior.effects) > 1 and unexplained(problem, posterior, settings):
-        posterior = infer_from_least_squares(pool, posterior)
     to_estimate = Problem(nominal, estimation).with_prior(paths)
     judged = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.inference.nuisance import LOGS, nuisance
+from waferbot_twin.diagnosis.inference.nuisance import LOGS, each_once, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.effects import places
+from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model, load_model_or_machine
@@ -99,3 +100,21 @@ def test_a_skew_of_the_dense_effect_is_that_of_a_log():
         apply_all(geared, [cause.with_values({path: skew})]).machine for skew in (0.0, SKEW_S)
     ]
     assert machines[0] == machines[1]
+
+
+def test_what_has_a_cause_does_not_deviate_besides(nominal):
+    """Else a cause and a correction would share one number, and no log could tell how."""
+    effect, known = nuisance(nominal, [], Settings())
+    (axis,) = effect.axes(nominal)
+    off = Cause(effect, axis, {item.path: 0.5 * item.spread for item in known})
+    constant = Cause(find('force_constant'), 'x_rotate', {'ratio': 0.8})
+    friction = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.0})
+    nothing = Cause(find('force_constant'), 'y_linear', {'ratio': 1.0})
+    problem = SimpleNamespace(nominal=nominal)
+    *others, dense = each_once(problem, (constant, friction, nothing, off))
+    assert others == [constant, friction, nothing]
+    (held,) = dense.held
+    assert held.startswith('motors.x_rotate.')
+    assert dense.values == {**off.values, held: 0.0}
+    (free,) = each_once(problem, (dense,))
+    assert free.held == ()

@@ -15,7 +15,6 @@ from waferbot_twin.diagnosis.inference.settings import Settings
         ({'named_from': 0.0}, 'named_from'),
         ({'named_from': 1.0}, 'named_from'),
         ({'credible_level': 1.5}, 'credible_level'),
-        ({'correlated_from': -0.1}, 'correlated_from'),
         ({'endogeneity_level': 0.0}, 'endogeneity_level'),
         ({'expected_causes': 0.0}, 'expected_causes'),
         ({'prior_scales': (0.1, -1.0)}, 'prior_scales'),

@@ -17,6 +17,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.refit import Refits
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -28,13 +31,20 @@ from waferbot_twin.diagnosis.proposals.screening import (
     Change,
     Progress,
     Screened,
+    alike,
     candidates,
     screen,
     signatures,
 )
 from waferbot_twin.effects.effect import Effect
-from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, signature
-from waferbot_twin.estimation.stacked_least_squares import Signature
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    evaluate,
+    in_quick_steps,
+    parameters_of,
+    signature,
+)
+from waferbot_twin.estimation.stacked_least_squares import Signature, side_by_side
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
@@ -80,7 +90,7 @@ class CandidatePool:
         self._beside: Sequence[Cause] = ()
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
-        self._of_base: dict[_Beside, list[Signature]] = {}
+        self._of_base: dict[frozenset[_Values], dict[str, Signature]] = {}
         self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
 
@@ -120,7 +130,7 @@ class CandidatePool:
         self._candidates = [cause for cause in self._candidates if may_gain(cause)]
         unknown = {
             key: candidate
-            for candidate in self._candidates
+            for candidate in (*self._candidates, *self.dense)
             if (key := self._at_first(candidate)) not in self._changes
         }
         found = signatures(self.problem, base, list(unknown.values()), self.workers, self.progress)
@@ -167,6 +177,44 @@ class CandidatePool:
             ]
         )
 
+    def in_place_of(self, found: Hypothesis) -> list[Screened]:
+        """
+        Return what could be in place of the last cause of a hypothesis, with linear fits, best first.
+
+        That is what can do what the cause does, in the linear problem beside the others
+        (`screening.alike`).
+        """
+        problem, cause = self.problem, found.causes[-1]
+        try:
+            base = evaluate(problem, found.causes[:-1])
+        except UserError:  # the machine does not stand without it
+            return []
+        blocks = problem.touched(cause.effect, cause.axis)
+        own = {
+            block: np.concatenate(base.residuals[block])[:, None]
+            - np.concatenate(found.residuals[block])[:, None]
+            for block in blocks
+        }
+        of_others = self.signatures_of(found)[:-1]
+        counts = [len(parameters_of(problem, one)) for one in base.causes]
+        taken = {one.name for one in found.causes}
+        rivals = [
+            (one, change)
+            for one in (*self._candidates, *self.dense)
+            if one.name not in taken
+            and not set(blocks).isdisjoint(problem.touched(one.effect, one.axis))
+            and (change := self._changes[self._at_first(one)]) is not None
+        ]
+        near = alike(base, own, rivals, side_by_side(of_others, counts))
+        return self._screened_anew(base, near, of_others)
+
+    def _screened_anew(
+        self, base: Hypothesis, causes: Sequence[Cause], of_base: Sequence[Signature]
+    ) -> list[Screened]:
+        changes = signatures(self.problem, base, causes, self.workers, self.progress)
+        scales = self.settings.prior_scales
+        return screen(self.problem, base, causes, changes, of_base, scales, self.workers)
+
     def _promises(
         self,
         base: Hypothesis,
@@ -200,13 +248,14 @@ class CandidatePool:
 
     def signatures_of(self, base: Hypothesis) -> list[Signature]:
         """Return what the causes of `base` themselves change."""
-        key = tuple(map(_values, base.causes))
+        key = frozenset(map(_values, base.causes))
         if key not in self._of_base:
             quick, begun = in_quick_steps(self.problem, base)
-            self._of_base[key] = [
-                signature(quick, begun, base.causes, place) for place in range(len(base.causes))
-            ]
-        return self._of_base[key]
+            self._of_base[key] = {
+                cause.name: signature(quick, begun, base.causes, place)
+                for place, cause in enumerate(base.causes)
+            }
+        return [self._of_base[key][cause.name] for cause in base.causes]
 
     def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:
         return [self._changes[self._at_first(rival)] for rival in rivals]

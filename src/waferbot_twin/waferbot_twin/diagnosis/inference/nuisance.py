@@ -20,7 +20,7 @@ off than (1) has it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,12 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
-from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of, standard_errors
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    is_nothing,
+    parameters_of,
+    standard_errors,
+)
 from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Record
@@ -212,6 +217,39 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
 def is_nuisance(cause: Cause) -> bool:
     """Return whether a cause is the dense effect."""
     return cause.effect.name == NAME
+
+
+def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+    """
+    Return causes; what any of them changes does not deviate in the dense effect as well.
+
+    No log could tell the two apart: such parameters are held where the model has them.
+    """
+    changed: set[tuple[str, str]] = set()
+    for cause in causes:
+        if not is_nuisance(cause) and not is_nothing(problem, cause):
+            changed |= _entries(problem.nominal) ^ _entries(
+                cause.effect.apply(problem.nominal, cause.axis, cause.values)
+            )
+    paths = {path for path, _ in changed}
+
+    def once(dense: Cause) -> Cause:
+        held = tuple(name for name in dense.values if name in paths)
+        return replace(dense, held=held).with_values(dict.fromkeys(held, 0.0))
+
+    return tuple(once(cause) if is_nuisance(cause) else cause for cause in causes)
+
+
+def _entries(variant: Variant) -> set[tuple[str, str]]:
+    """Return every entry of a description by its path, and what stands there."""
+    return {
+        (f'{section}.{name}.{key}', repr(value))
+        for section, names in variant.machine.items()
+        if isinstance(names, Mapping)
+        for name, entry in names.items()
+        if isinstance(entry, Mapping)
+        for key, value in entry.items()
+    }
 
 
 def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> list[Correction]:

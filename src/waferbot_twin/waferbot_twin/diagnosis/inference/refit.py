@@ -4,16 +4,25 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from dataclasses import replace
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
 from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
+from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
 from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    evaluate,
+    log_likelihood_ratio,
+    parameters_of,
+)
 from waferbot_twin.estimation.nelder_mead import downhill
 from waferbot_twin.estimation.quantised_fit import acts_on_bits_alone, with_fewest_differences
 from waferbot_twin.estimation.separable import (
@@ -26,8 +35,17 @@ from waferbot_twin.estimation.separable import (
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
-ENOUGH, ROUGHLY = 0.3, 1e-3
-"""Gain in ln L, and share of what was gained, below which a refit ends: what is taken is fitted on."""
+ENOUGH, ROUGHLY, ROUNDS = 0.3, 1e-2, 6
+"""
+Gain in ln L, and share of what was gained, below which a fit in a search ends, and how many rounds that
+of a candidate has at most: what is taken is fitted on, and all in the end.
+"""
+
+SHARES = (1.0, 0.3, 0.1, 0.03)
+"""
+Shares of what the linear problem asks for; the first that makes the logs likelier is where a fit begins:
+where many things lack it asks for far too much of what bends.
+"""
 
 MORE_TRIALS = 3
 """How many second trials (another order, frequency or rung) are refitted."""
@@ -75,29 +93,57 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
     }
 
 
-def fitted(problem: Problem, causes: tuple[Cause, ...]) -> Hypothesis | None:
+def fitted(
+    problem: Problem, causes: tuple[Cause, ...], workers: int = 1, enough: float = ENOUGH
+) -> Hypothesis | None:
     """Return causes fitted; None if the machine does not stand with them alone."""
     try:
-        return fitted_apart(problem, causes)
+        return fitted_apart(problem, causes, workers, enough)
     except UserError:
         return None
 
 
-def to_the_end(problem: Problem, found: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with its last cause fitted to the end; as it is if that blows up."""
+def fitted_on(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothesis:
+    """Return a hypothesis with its last cause fitted on; as it is if that blows up."""
     try:
-        return refined(problem, found)
+        return refined(problem, found, workers, ENOUGH)
     except UserError:
         return found
 
 
-def without(problem: Problem, found: Hypothesis, name: str) -> Hypothesis | None:
-    """Return a hypothesis without one cause, fitted anew; None if the machine does not stand so."""
+def to_the_end(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothesis:
+    """Return a hypothesis fitted to the end; as it is if that blows up."""
+    return fitted(problem, found.causes, workers, TO_THE_END) or found
+
+
+def without(problem: Problem, found: Hypothesis, name: str, workers: int = 1) -> Hypothesis:
+    """
+    Return a hypothesis without one cause, the others fitted anew.
+
+    As they are where the machine does not stand so.
+    """
     place = next(place for place, cause in enumerate(found.causes) if cause.name == name)
+    rest = (*found.causes[:place], *found.causes[place + 1 :])
+    once = each_once(problem, rest)
     try:
-        return fitted_without(problem, found, place)
+        if once != rest:
+            return fitted_apart(problem, once, workers, ENOUGH)
+        return fitted_without(problem, found, place, workers, ENOUGH)
     except UserError:
-        return None
+        return evaluate(problem, rest)
+
+
+def with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
+    """Return the same hypothesis with one of its causes behind the others."""
+    places = sorted(range(len(found.causes)), key=lambda place: found.causes[place].name == name)
+    counts = [len(parameters_of(problem, cause)) for cause in found.causes]
+    firsts = np.cumsum([0, *counts])
+    order = [n for place in places for n in range(firsts[place], firsts[place + 1])]
+    spread = found.covariance
+    if len(spread) == len(order):
+        spread = spread[np.ix_(order, order)]
+    causes = tuple(found.causes[place] for place in places)
+    return replace(found, causes=causes, covariance=spread)
 
 
 class Refits:
@@ -173,7 +219,7 @@ def _roughly(
     problem: Problem, causes: tuple[Cause, ...], known: Sequence[Signature]
 ) -> Hypothesis:
     """Return causes fitted, those before the last with signatures that are known."""
-    return fit_causes(problem, causes, enough=ENOUGH, known=known, roughly=ROUGHLY)
+    return fit_causes(problem, causes, ROUNDS, enough=ENOUGH, known=known, roughly=ROUGHLY)
 
 
 def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
@@ -193,6 +239,10 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
         return with_fewest_differences(problem, base, start, times)
     if may_ring(problem, start):
         return tuned(problem, base, start)
+    for share in SHARES:
+        less = times(share)
+        if log_likelihood_ratio(evaluate(problem, (*base.causes, less)), base) > 0.0:
+            return less
     return start
 
 

@@ -2,8 +2,9 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`settings`); then each is asked for anew
-beside all others, as often as one changes: an early choice is revised when the others are known. The
+Effects are added as long as one is more probable than not (`settings`); what is not evident beside all
+that was found goes again (`elimination`). Then each is asked for anew beside all others, as often as one
+changes: an early choice is revised when the others are known. The
 posterior of each is that of `single_effects`, from fits through the simulation for every candidate that
 the linear problem puts within reach (`refit`). What no physical cause explains competes with them:
 forces over speed and position of an axis without a name (`discrepancy`). Last, what the closed loop has
@@ -13,16 +14,22 @@ made of noise is taken out (`instrument`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
-from scipy.special import logit
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
-from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
-from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end, within_reach, without
+from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
+from waferbot_twin.diagnosis.inference.refit import (
+    fitted,
+    fitted_on,
+    to_the_end,
+    with_last,
+    within_reach,
+    without,
+)
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
     Member,
@@ -32,10 +39,16 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     with_odds,
 )
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
-from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
-from waferbot_twin.estimation.gauss_newton import names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    evaluate,
+    is_nothing,
+    parameters_of,
+)
+from waferbot_twin.estimation.separable import part_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
+from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -54,154 +67,139 @@ def infer(pool: CandidatePool) -> Posterior:
     """
     nothing = evaluate(pool.problem)
     pool.begin(nothing)
-    found, effects = _search(pool, nothing, [])
-    return Posterior(nothing, found, tuple(effects), len(pool.names))
-
-
-def infer_from_least_squares(pool: CandidatePool, first: Posterior) -> Posterior:
-    """
-    Return the more probable of a posterior and of what a search finds that begins with more.
-
-    It begins with what everybody fits first, all together: masses and force constants, Coulomb and
-    viscous friction and a constant force of every axis. Where most things are off, a search that adds
-    one cause at a time goes wrong: whichever comes first takes what many others leave over, and they
-    find nothing any more. Of these each stays that is evident beside all that is found.
-    """
-    causes = pool.usual()
-    begun = fitted(pool.problem, causes) if causes else None
-    if begun is None:
-        return first
-    tentative = [
-        SingleEffect(
-            (Member(_with_last(pool.problem, begun, one.name), 0.0, pool.log_prior(one), 1.0),),
-            0.0,
-        )
-        for one in causes
-    ]
-    found, effects = _search(pool, begun, tentative)
-    if _odds_against(pool, found, first.found) <= 0.0:
-        return first
-    return replace(first, found=found, effects=tuple(effects))
-
-
-def _search(
-    pool: CandidatePool, found: Hypothesis, tentative: list[SingleEffect]
-) -> tuple[Hypothesis, list[SingleEffect]]:
-    """Add effects to some, and ask for all of them anew, until none is added, changed or feigned."""
-    effects: list[SingleEffect] = []
+    found, effects = nothing, list[SingleEffect]()
     most = pool.settings.most_asked
     while True:
-        found, effects, asked = _ask_on(pool, found, effects, tentative, most)
+        found, effects, asked = _ask_on(pool, found, effects, most)
         most -= asked
         found, effects, asked = _ask_again(pool, found, effects, most)
         most -= asked
         feigned, judged = _instrumented(pool, found, effects)
         if feigned is None:
-            return found, judged
+            found = to_the_end(pool.problem, found, pool.workers)
+            return Posterior(nothing, found, tuple(judged), len(pool.names))
         pool.leave_out(feigned)
-        found, effects = _without(pool.problem, found, effects, feigned)
-        tentative = []
-
-
-def _odds_against(pool: CandidatePool, this: Hypothesis, other: Hypothesis) -> float:
-    """Return ln of the posterior odds of a hypothesis with all its causes against another one."""
-    occam = [
-        sum(
-            pool.log_prior(cause)
-            + log_occam(
-                cause,
-                parameters_of(pool.problem, cause),
-                spread_of(pool.problem, one, place),
-                pool.settings.prior_scales,
-            )
-            for place, cause in enumerate(one.causes)
-        )
-        for one in (this, other)
-    ]
-    return gain(this, other) + occam[0] - occam[1]
+        found = without(pool.problem, found, feigned, pool.workers)
+        effects = [effect for effect in effects if effect.best.cause.name != feigned]
 
 
 def _ask_on(
-    pool: CandidatePool,
-    found: Hypothesis,
-    effects: list[SingleEffect],
-    begun: list[SingleEffect],
-    most: int,
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
 ) -> tuple[Hypothesis, list[SingleEffect], int]:
     """
     Add effects as long as one is included; return how often was asked, too.
 
-    With the most probable candidate come those that are plain on their own and do something else: on
-    another axis, in another block. They would be found in the next rounds. They are tentative, too.
+    With the most probable candidate come those that are plain beside it, too (`_apart`): they would be
+    found in the next rounds. They are tentative.
 
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
-    along it were known is in the model for the time being, too, as is what was `begun` with; it stays
-    if it is evident beside all that was found by then.
+    along it were known is in the model for the time being, too. And whichever came first would take what
+    many others leave over. So where something is found a second time, what everybody fits first comes
+    along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
+    (`CandidatePool.usual`). All these are tentative: each stays if it is evident beside all that was
+    found by then.
     """
-    asked, effects, tentative = 0, list(effects), list(begun)
-    most_causes = pool.settings.most_causes + len(begun)
-    while len(effects) + len(tentative) < most_causes and asked < most:
+    asked, usual = 0, False
+    effects, tentative = list(effects), list[SingleEffect]()
+    while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
-        apart: list[Member] = []
+        more: list[Cause] = []
         if effect is not None and _included(effect, pool.settings):
             best = effect.best
             effects.append(effect)
             apart = _apart(pool, found, effect.members)
             tentative += [SingleEffect((one,), effect.none) for one in apart]
+            more += [one.cause for one in apart]
         elif effect is not None and (ahead := _ahead(pool.problem, found, effect)) is not None:
             best = ahead
             tentative.append(SingleEffect((ahead,), effect.none))
         else:
             break
-        together = (*best.found.causes, *(one.cause for one in apart))
-        found = (fitted(pool.problem, together) if apart else None) or to_the_end(
-            pool.problem, best.found
+        first: list[Cause] = []
+        if asked > 1 and not usual:
+            usual = True
+            there = {cause.name for cause in (*best.found.causes, *more)}
+            first = [cause for cause in pool.usual() if cause.name not in there]
+        together = each_once(pool.problem, (*best.found.causes, *more, *first))
+        joint = together != best.found.causes
+        found = (fitted(pool.problem, together, pool.workers) if joint else None) or fitted_on(
+            pool.problem, best.found, pool.workers
         )
-    return *_evident(pool, found, effects, tentative), asked
+        names = {cause.name for cause in found.causes}
+        tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
+        found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
+    return *evident(pool, found, effects, tentative), asked
+
+
+def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
+    """Return a cause of a hypothesis as an effect that was not asked for."""
+    last = with_last(pool.problem, found, cause.name)
+    return SingleEffect((Member(last, 0.0, pool.log_prior(cause), 1.0),), 0.0)
 
 
 def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[Member]:
     """
-    Return those members beside the first which are plain on their own and do something else.
+    Return those members beside the first that are plain beside the others, too.
 
-    What two of them change is hardly correlated.
+    One after the other, each by its gain in the linear problem without what the chosen ones change.
     """
-    kept, changes = [members[0]], [_change(base, members[0])]
-    plain = _log_odds(pool.settings.named_from)
-    for one in sorted(members[1:], key=lambda member: -member.log_odds):
-        if one.log_odds <= plain:
-            break
-        change = _change(base, one)
-        by_name = not is_nuisance(one.cause) and not is_discrepancy(one.cause)
-        if by_name and all(
-            abs(change @ other) < pool.settings.correlated_from for other in changes
-        ):
-            kept.append(one)
-            changes.append(change)
-    return kept[1:]
-
-
-def _change(base: Hypothesis, member: Member) -> Array:
-    """Return what a member changes in all channels, in the noise of `base`, of length 1."""
-    rows = np.concatenate(
-        [
-            one
-            for block, fit in base.fits.items()
-            for one in in_deviations(
-                fit.colours,
-                [
-                    before - after
-                    for before, after in zip(
-                        base.residuals[block], member.found.residuals[block], strict=True
-                    )
-                ],
-            )
+    plain = log_odds_at(pool.settings.named_from)
+    chosen, changes = [members[0]], [_change(base, members[0])]
+    rest = [
+        (one, _change(base, one))
+        for one in members[1:]
+        if one.log_odds > plain and not is_nuisance(one.cause) and not is_discrepancy(one.cause)
+    ]
+    while rest:
+        odds = [
+            one.log_odds - gain(one.found, base) + _gain_beside(base, changes, change)
+            for one, change in rest
         ]
+        best = int(np.argmax(odds))
+        if odds[best] <= plain:
+            break
+        one, change = rest.pop(best)
+        chosen.append(one)
+        changes.append(change)
+    return chosen[1:]
+
+
+def _gain_beside(base: Hypothesis, others: Sequence[list[Array]], own: list[Array]) -> float:
+    """Return the gain of a change of `base`, in any size, beside others, in the linear problem."""
+    white = [one for fit in base.fits.values() for one in fit.whitened]
+    colours = [colour for fit in base.fits.values() for colour in fit.colours]
+    columns, _ = np.linalg.qr(np.column_stack([np.concatenate(one) for one in others]))
+    left, change = (
+        rows - columns @ (columns.T @ rows)
+        for rows in (np.concatenate(white), np.concatenate(own))
     )
-    length = float(np.linalg.norm(rows))
-    return np.asarray(rows / length if length else rows)
+    square = float(change @ change)
+    size = float(change @ left) / square if square else 0.0
+    ends = np.cumsum([len(one) for one in white])[:-1]
+    before, after, moved = (
+        np.split(rows, ends) for rows in (left, left - size * change, size * change)
+    )
+    squares = [float(one @ one - two @ two) for one, two in zip(before, after, strict=True)]
+    return sum(log_likelihood_ratios_in(powers_along(after, moved, colours), squares))
+
+
+def _change(base: Hypothesis, member: Member) -> list[Array]:
+    """Return what a member takes away in every channel, in the noise of `base`."""
+    return [
+        one
+        for block, fit in base.fits.items()
+        for one in in_deviations(
+            fit.colours,
+            [
+                before - after
+                for before, after in zip(
+                    base.residuals[block], member.found.residuals[block], strict=True
+                )
+            ],
+        )
+    ]
 
 
 def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
@@ -215,65 +213,25 @@ def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member |
     return best if log_odds(best) > 0.0 else None
 
 
-def _evident(
-    pool: CandidatePool,
+def _some_of_each(
+    problem: Problem,
     found: Hypothesis,
     effects: Sequence[SingleEffect],
     tentative: Sequence[SingleEffect],
-) -> tuple[Hypothesis, list[SingleEffect]]:
-    """
-    Return a hypothesis without those tentative effects that are not evident beside all others.
-
-    The one that the linear problem finds least evident goes first, and each is refitted without it.
-    """
-    problem, left, sure = pool.problem, list(tentative), list[SingleEffect]()
-    while left:
-        by_linear = [_linear_odds(pool, found, effect.best.cause.name) for effect in left]
-        least = left.pop(int(np.argmin(by_linear)))
-        name = least.best.cause.name
-        base, _ = _without(problem, found, (), name)
-        more = _with_last(problem, found, name)
-        evidence = log_evidence(problem, more, base, pool.settings.prior_scales)
-        odds = evidence + least.best.log_prior
-        if odds > _log_odds(pool.settings.included_from):
-            sure.append(with_odds(least, odds))
-        else:
-            found = base
-    return found, [*effects, *sure]
-
-
-def _linear_odds(pool: CandidatePool, found: Hypothesis, name: str) -> float:
-    """Return ln of the odds of one cause by Wald's statistic: by its value and the covariance alone."""
-    place = next(place for place, cause in enumerate(found.causes) if cause.name == name)
-    cause, own = found.causes[place], spread_of(pool.problem, found, place)
-    parameters = parameters_of(pool.problem, cause)
-    away = np.array([cause.values[item.name] - item.neutral for item in parameters])
-    gained = 0.5 * float(away @ np.linalg.pinv(own) @ away)
-    return (
-        gained
-        + log_occam(cause, parameters, own, pool.settings.prior_scales)
-        + pool.log_prior(cause)
+) -> tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]:
+    """Return a fitted hypothesis and its effects without those causes of which there is nothing."""
+    places = [place for place, one in enumerate(found.causes) if not is_nothing(problem, one)]
+    kept = part_of(problem, found, places, frozenset(problem.blocks))
+    names = {cause.name for cause in kept.causes}
+    effects, tentative = (
+        [one for one in some if one.best.cause.name in names] for some in (effects, tentative)
     )
+    return kept, effects, tentative
 
 
 def _included(effect: SingleEffect, settings: Settings) -> bool:
     """Return whether an effect is in the model; where no log tells, odds are even but for rounding."""
     return effect.inclusion > settings.included_from + ROUNDING
-
-
-def _log_odds(probability: float) -> float:
-    return float(logit(probability))
-
-
-def _without(
-    problem: Problem, found: Hypothesis, effects: Sequence[SingleEffect], name: str
-) -> tuple[Hypothesis, list[SingleEffect]]:
-    """Return a hypothesis and its effects without one cause, the others fitted anew."""
-    rest = [effect for effect in effects if effect.best.cause.name != name]
-    again = without(problem, found, name)
-    if again is None:
-        again = evaluate(problem, tuple(one for one in found.causes if one.name != name))
-    return again, rest
 
 
 def _instrumented(
@@ -288,11 +246,11 @@ def _instrumented(
     """
     problem, settings = pool.problem, pool.settings
     judged: list[SingleEffect] = []
-    worst, feigned = _log_odds(settings.included_from), None
+    worst, feigned = log_odds_at(settings.included_from), None
     for effect in effects:
         cause = effect.best.cause
-        base, _ = _without(problem, found, (), cause.name)
-        more = _with_last(problem, found, cause.name)
+        base = without(pool.problem, found, cause.name, pool.workers)
+        more = with_last(problem, found, cause.name)
         gained = instrumented_gain(problem, base, more, settings.endogeneity_level)
         if gained is None:
             judged.append(effect)
@@ -305,94 +263,78 @@ def _instrumented(
     return feigned, judged
 
 
-def _with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
-    """Return the same hypothesis with one of its causes behind the others."""
-    places = sorted(range(len(found.causes)), key=lambda place: found.causes[place].name == name)
-    counts = [len(parameters_of(problem, cause)) for cause in found.causes]
-    firsts = np.cumsum([0, *counts])
-    order = [n for place in places for n in range(firsts[place], firsts[place + 1])]
-    spread = found.covariance
-    if len(spread) == len(order):
-        spread = spread[np.ix_(order, order)]
-    causes = tuple(found.causes[place] for place in places)
-    return replace(found, causes=causes, covariance=spread)
-
-
 def _ask_again(
     pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
 ) -> tuple[Hypothesis, list[SingleEffect], int]:
     """
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
-    Return how often was asked, too.
+    What no other candidate can do in its place stays as it is. Return how often was asked, too.
     """
     left = most
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
+            if left <= 0:
+                break
             name = effect.best.cause.name
-            settled = len(effect.members) > 1 and not _bent(pool, found, name)
-            if left <= 0 or settled:
+            present = with_last(pool.problem, found, name)
+            rivals = pool.in_place_of(present)
+            if not rivals:
                 continue
             left -= 1
-            present = _with_last(pool.problem, found, name)
-            base = without(pool.problem, found, name)
-            again = _ask(pool, base, present) if base is not None else None
+            base = without(pool.problem, found, name, pool.workers)
+            again = _posterior(pool, base, rivals, present)
             if again is None:
                 continue
             place = next(number for number, one in enumerate(effects) if one is effect)
             rest = [*effects[:place], *effects[place + 1 :]]
             if not _included(again, pool.settings):
-                assert base is not None
                 found, effects, changed = base, rest, True
                 continue
             changed |= again.best.cause.name != name
             if again.best.found is not present:
-                found = to_the_end(pool.problem, again.best.found)
+                found = fitted_on(pool.problem, again.best.found, pool.workers)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
+    found, effects = evident(pool, found, effects)
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects, most - left
 
 
-def _bent(pool: CandidatePool, found: Hypothesis, name: str) -> bool:
-    """Return whether the values of a cause depend on those of the others: so may its name."""
-    own = np.array(
-        [found.causes[place].name == name for place, _ in names_of(pool.problem, found.causes)]
-    )
-    if len(own) != len(found.covariance):
-        return True
-    deviations = np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
-    correlation = found.covariance / np.outer(deviations, deviations)
-    most = float(np.max(np.abs(correlation[np.ix_(own, ~own)]), initial=0.0))
-    return most > pool.settings.correlated_from
+def _ask(pool: CandidatePool, base: Hypothesis) -> SingleEffect | None:
+    """Return the posterior of one more effect beside those of `base`; None if none could be fitted."""
+    screened = _promising(pool, pool.screen(base)) or _promising(pool, pool.damped_rings(base))
+    return _posterior(pool, base, screened)
 
 
-def _ask(
-    pool: CandidatePool, base: Hypothesis, present: Hypothesis | None = None
+def _posterior(
+    pool: CandidatePool,
+    base: Hypothesis,
+    screened: Sequence[Screened],
+    present: Hypothesis | None = None,
 ) -> SingleEffect | None:
     """
-    Return the posterior of one more effect beside those of `base`.
+    Return the posterior of one effect, from fits of what the linear problem puts within reach.
 
     `present` has as its last cause what is there now, fitted with the others: from `base`, whose causes
     have taken what they can of its work, a fit may not find back there. None if nothing could be fitted.
     """
     problem, settings = pool.problem, pool.settings
-    screened = _promising(pool, pool.screen(base))
-    if present is None and not screened:
-        screened = _promising(pool, pool.damped_rings(base))
-    if present is not None:
-        screened = [item for item in screened if item.cause.name != present.causes[-1].name]
     chosen = within_reach(problem, screened, settings)
-    known_causes = base.causes if present is None else present.causes
-    there = {cause.name for cause in (*known_causes, *(item.cause for item in chosen))}
-    chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
+    if present is None:
+        there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
+        chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
     known = pool.signatures_of(base)
     refitted = pool.refits(base, chosen, known)
     refitted += [present] if present is not None else []
-    refitted = [one for one in refitted if not _on_a_bound(problem, one.causes[-1])]
+    refitted = [
+        one
+        for one in refitted
+        if not _on_a_bound(problem, one.causes[-1]) and not is_nothing(problem, one.causes[-1])
+    ]
     members = [
         Member(
             one,

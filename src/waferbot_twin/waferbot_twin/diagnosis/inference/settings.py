@@ -36,9 +36,6 @@ class Settings:
     endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
                        the one that the command causes disagree, and the latter counts
 
-    correlated_from    correlation of estimates from which on one effect is asked for anew beside
-                       another
-
     refutation_level   likelihood ratio, with a cause over without, below which the validation data
                        refute it: at most the probability that they refute a true one
     tolerated_loss     rise of the mean square error in the validation data (1 % in RMS) up to which an
@@ -48,18 +45,17 @@ class Settings:
     """
 
     expected_causes: float = 1.0
-    prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
+    prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03
     spread_of_frictions: float = 0.1
     included_from: float = 0.5
     named_from: float = 10.0 / 11.0
     credible_level: float = 0.95
-    most_causes: int = 12
+    most_causes: int = 30
     most_refits: int = 8
     most_asked: int = 24
     endogeneity_level: float = 1e-3
-    correlated_from: float = 0.1
     refutation_level: float = 1e-3
     tolerated_loss: float = 0.02
 
@@ -70,7 +66,6 @@ class Settings:
             'named_from',
             'credible_level',
             'endogeneity_level',
-            'correlated_from',
             'refutation_level',
             'spread_of_masses',
             'spread_of_force_constants',

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.special import expit
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.refit import fitted
+from waferbot_twin.diagnosis.inference.refit import to_the_end
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -124,7 +124,7 @@ class Posterior:
             return self
         kept = [place for place, cause in enumerate(self.found.causes) if cause.name not in names]
         causes = tuple(self.found.causes[place] for place in kept)
-        found = fitted(problem, causes) or evaluate(problem, causes)
+        found = to_the_end(problem, evaluate(problem, causes))
         return replace(self, found=found, effects=tuple(self.effects[place] for place in kept))
 
 

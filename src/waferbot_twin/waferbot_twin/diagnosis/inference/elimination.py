@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Backward elimination: what is not evident beside all that was found goes, the least evident first.
+
+In the linear problem: with w the values of those causes that go, V_ww their covariance and V_vw that
+with the values v of the others,
+
+    v - V_vw V_ww^-1 w    with the covariance    V_vv - V_vw V_ww^-1 V_wv                        (1)
+
+are those of the others without them. What is left is fitted anew through the simulation, and the logs
+have the last word.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from scipy.special import logit
+
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.refit import fitted, with_last, without
+from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
+from waferbot_twin.estimation.gauss_newton import Names, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.residuals.problem import Problem
+from waferbot_twin.residuals.record import Array
+
+
+def evident(
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: Sequence[SingleEffect],
+    tentative: Sequence[SingleEffect] = (),
+) -> tuple[Hypothesis, list[SingleEffect]]:
+    """
+    Return a hypothesis without those effects that are not evident beside all others.
+
+    Backward elimination: the one that the linear problem finds least evident goes first, the rest is
+    fitted anew without it; where the logs then want it back, the others are evident, too.
+    """
+    problem, left = pool.problem, [*effects, *tentative]
+    while left:
+        again = _without_some(pool, found, [effect.best.cause.name for effect in left])
+        if again is not None:
+            names = {cause.name for cause in again.causes}
+            found, left = again, [one for one in left if one.best.cause.name in names]
+            continue
+        by_linear = _linear_odds(pool, found)
+        least = min(left, key=lambda effect: by_linear[effect.best.cause.name])
+        name = least.best.cause.name
+        base = without(problem, found, name, pool.workers)
+        more = with_last(problem, found, name)
+        odds = log_evidence(problem, more, base, pool.settings.prior_scales)
+        odds += pool.log_prior(more.causes[-1])
+        if odds > log_odds_at(pool.settings.included_from):
+            by_linear = {key: max(own, odds) for key, own in by_linear.items()} | {name: odds}
+            asked = {id(one) for one in effects} - {id(least)}
+            left = [
+                one if id(one) in asked else with_odds(one, by_linear[one.best.cause.name])
+                for one in left
+            ]
+            break
+        left = [one for one in left if one is not least]
+        found = base
+    return found, left
+
+
+def _without_some(
+    pool: CandidatePool, found: Hypothesis, names: Sequence[str]
+) -> Hypothesis | None:
+    """
+    Return a hypothesis without all causes that the linear problem finds not evident, if those are many.
+
+    Half of them if the logs want them back, and so on; None if that is less than two.
+    """
+    out = _eliminated(pool, found, names)
+    while len(out) > 1:
+        rest = [cause for cause in found.causes if cause.name not in out]
+        again = fitted(pool.problem, each_once(pool.problem, rest), pool.workers)
+        if again is not None and _log_odds_of(pool, found, again, out) <= 0.0:
+            return again
+        out = out[: len(out) // 2]
+    return None
+
+
+def _log_odds_of(
+    pool: CandidatePool, more: Hypothesis, fewer: Hypothesis, names: Sequence[str]
+) -> float:
+    """Return ln of the odds that all of some causes are there, by a hypothesis without them."""
+    odds = gain(more, fewer)
+    for place, cause in enumerate(more.causes):
+        if cause.name in names:
+            parameters = parameters_of(pool.problem, cause)
+            own = spread_of(pool.problem, more, place)
+            odds += log_occam(cause, parameters, own, pool.settings.prior_scales)
+            odds += pool.log_prior(cause)
+    return odds
+
+
+def _eliminated(pool: CandidatePool, found: Hypothesis, names: Sequence[str]) -> list[str]:
+    """
+    Return which of some causes are not evident beside the others, by the linear problem alone.
+
+    The least evident goes, values and covariance of the others become those without it, and so on. One
+    of which the others could do the work beyond their bounds only stays.
+    """
+    out: list[str] = []
+    inside = list(names)
+    if len(found.covariance) != len(names_of(pool.problem, found.causes)):
+        return out
+    while inside:
+        odds = _linear_odds(pool, found, out)
+        least = min(inside, key=lambda name: odds[name])
+        if odds[least] > log_odds_at(pool.settings.included_from):
+            break
+        inside.remove(least)
+        if _within_bounds(pool.problem, found, [*out, least]):
+            out.append(least)
+    return out
+
+
+def _within_bounds(problem: Problem, found: Hypothesis, out: Collection[str]) -> bool:
+    """Return whether without some causes the others have values that they can have."""
+    names, away, _ = _conditional(problem, found, out)
+    return all(
+        item.low <= item.neutral + change <= item.high
+        for (place, item), change in zip(names, away, strict=True)
+        if not item.shape and found.causes[place].name not in out
+    )
+
+
+def _conditional(
+    problem: Problem, found: Hypothesis, out: Collection[str]
+) -> tuple[Names, Array, Array]:
+    """Return all parameters, how far they are from neutral, and their covariance, by equation (1)."""
+    names = names_of(problem, found.causes)
+    away = np.array(
+        [
+            0.0 if item.shape else found.causes[place].values[item.name] - item.neutral
+            for place, item in names
+        ]
+    )
+    spread = found.covariance
+    if len(spread) != len(names):  # nothing was fitted
+        spread = np.zeros((len(names), len(names)))
+    gone = np.array([found.causes[place].name in out for place, _ in names], np.bool_)
+    if gone.any():
+        follows = spread[:, gone] @ np.linalg.pinv(spread[np.ix_(gone, gone)], hermitian=True)
+        away = away - follows @ away[gone]
+        spread = spread - follows @ spread[gone]
+    return names, away, spread
+
+
+def _linear_odds(
+    pool: CandidatePool, found: Hypothesis, out: Collection[str] = ()
+) -> dict[str, float]:
+    """Return ln of the odds of causes without those `out`, by Wald's statistic: value and covariance."""
+    names, away, spread = _conditional(pool.problem, found, out)
+    sizes = np.array([not item.shape for _, item in names], np.bool_)
+    odds: dict[str, float] = {}
+    for number, cause in enumerate(found.causes):
+        if cause.name in out:
+            continue
+        own = np.array([place == number for place, _ in names], np.bool_)
+        parameters = parameters_of(pool.problem, cause)
+        values = {
+            item.name: item.neutral + change
+            for item, change in zip(parameters, away[own], strict=True)
+            if not item.shape
+        }
+        both = own & sizes
+        information = np.linalg.pinv(spread[np.ix_(both, both)], hermitian=True)
+        gained = 0.5 * float(away[both] @ information @ away[both])
+        occam = log_occam(
+            cause.with_values(values),
+            parameters,
+            spread[np.ix_(own, own)],
+            pool.settings.prior_scales,
+        )
+        odds[cause.name] = gained + occam + pool.log_prior(cause)
+    return odds
+
+
+def log_odds_at(probability: float) -> float:
+    """Return ln of the odds of a probability."""
+    return float(logit(probability))
