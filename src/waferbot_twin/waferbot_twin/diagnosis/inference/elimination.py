@@ -24,7 +24,7 @@ from waferbot_twin.diagnosis.inference.refit import fitted, with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
 from waferbot_twin.estimation.gauss_newton import Names, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array
 
@@ -120,6 +120,27 @@ def _eliminated(pool: CandidatePool, found: Hypothesis, names: Sequence[str]) ->
         if _within_bounds(pool.problem, found, [*out, least]):
             out.append(least)
     return out
+
+
+def without_by_linear(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
+    """
+    Return a hypothesis without one cause, the others as equation (1) has them within their bounds.
+
+    Raises `UserError` if the machine blows up so.
+    """
+    names, away, _ = _conditional(problem, found, {name})
+    values = [dict(cause.values) for cause in found.causes]
+    for (place, item), change in zip(names, away, strict=True):
+        if not item.shape:
+            values[place][item.name] = float(np.clip(item.neutral + change, item.low, item.high))
+    return evaluate(
+        problem,
+        tuple(
+            cause.with_values(own)
+            for cause, own in zip(found.causes, values, strict=True)
+            if cause.name != name
+        ),
+    )
 
 
 def _within_bounds(problem: Problem, found: Hypothesis, out: Collection[str]) -> bool:

@@ -24,7 +24,11 @@ from waferbot_twin.residuals.record import Array
 
 
 def instrumented_gain(
-    problem: Problem, base: Hypothesis, more: Hypothesis, level: float
+    problem: Problem,
+    base: Hypothesis,
+    more: Hypothesis,
+    level: float,
+    noise_free: Problem | None = None,
 ) -> float | None:
     """
     Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
@@ -35,10 +39,12 @@ def instrumented_gain(
     with the variance lambda z' z / (z' d)^2, lambda the power along z of what `more` leaves over less
     what was subtracted (`residual_spectrum.power_along`): rounding is in both. None if they agree at
     the `level` of Hausman's test, or if the logs do not tell what was commanded; else the likelihood
-    ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks gain.
+    ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks gain. `noise_free` are
+    the noise-free logs of `more` if somebody has them.
     """
     try:
-        ideal, own = problem.ideal(more.causes), problem.ideal(base.causes)
+        ideal = noise_free or problem.ideal(more.causes)
+        own = problem.ideal(base.causes) if ideal is not None else None
         if ideal is None or own is None:
             return None
         with_it, without = (apply_all(problem.nominal, item.causes) for item in (more, base))

@@ -14,12 +14,14 @@ made of noise is taken out (`instrument`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
-from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
+from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at, without_by_linear
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
@@ -241,17 +243,29 @@ def _instrumented(
     Return which cause the closed loop's noise has made most plainly, if any; and effects as judged now.
 
     Hausman's test presumes that nothing else lacks: what another cause leaves over goes with the
-    command, too. So it is asked last, when no further cause is found. Where it speaks against the logs,
-    the instrument's odds are those of the effect.
+    command, too. So it is asked last, when no further cause is found; of the model without the cause as
+    the linear problem has it, and where that speaks against the logs, as it is fitted. Where this does,
+    too, the instrument's odds are those of the effect.
     """
     problem, settings = pool.problem, pool.settings
     judged: list[SingleEffect] = []
     worst, feigned = log_odds_at(settings.included_from), None
-    for effect in effects:
+    try:
+        ideal = problem.ideal(found.causes) if effects else None
+    except UserError:
+        ideal = None
+    for effect in effects if ideal is not None else ():
         cause = effect.best.cause
-        base = without(pool.problem, found, cause.name, pool.workers)
         more = with_last(problem, found, cause.name)
-        gained = instrumented_gain(problem, base, more, settings.endogeneity_level)
+        gained = None
+        for fewer in (without_by_linear, partial(without, workers=pool.workers)):
+            try:
+                base = fewer(problem, found, cause.name)
+            except UserError:
+                continue
+            gained = instrumented_gain(problem, base, more, settings.endogeneity_level, ideal)
+            if gained is None:
+                break
         if gained is None:
             judged.append(effect)
             continue
@@ -260,7 +274,7 @@ def _instrumented(
         judged.append(with_odds(effect, odds))
         if odds < worst:
             worst, feigned = odds, cause.name
-    return feigned, judged
+    return feigned, judged if ideal is not None else list(effects)
 
 
 def _ask_again(
