@@ -4,11 +4,11 @@ The search for effects: one after the other, then all again.
 
 Effects are added as long as one is more probable than not (`settings`); what is not evident beside all
 that was found goes again (`elimination`). Then each is asked for anew beside all others, as often as one
-changes: an early choice is revised when the others are known. The
-posterior of each is that of `single_effects`, from fits through the simulation for every candidate that
-the linear problem puts within reach (`refit`). What no physical cause explains competes with them:
-forces over speed and position of an axis without a name (`discrepancy`). Last, what the closed loop has
-made of noise is taken out (`instrument`).
+changes: an early choice is revised when the others are known. The posterior of each is that of
+`single_effects`, from fits through the simulation for every candidate that the linear problem puts
+within reach (`refit`). What no physical cause explains competes with them: forces over speed and
+position of an axis without a name (`discrepancy`). Last, what the closed loop has made of noise is taken
+out (`instrument`).
 """
 
 from __future__ import annotations
@@ -283,7 +283,9 @@ def _ask_again(
     """
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
-    What no other candidate can do in its place stays as it is. Return how often was asked, too.
+    Which one it is, that is: what no other candidate can do in its place stays as it is. Whether there
+    is any is left to elimination in the end; so the model without an effect may be the one that the
+    linear problem has. Return how often was asked, too.
     """
     left = most
     for _ in range(PASSES if len(effects) > 1 else 0):
@@ -297,15 +299,16 @@ def _ask_again(
             if not rivals:
                 continue
             left -= 1
-            base = without(pool.problem, found, name, pool.workers)
+            try:
+                base = without_by_linear(pool.problem, present, name)
+            except UserError:
+                continue
             again = _posterior(pool, base, rivals, present)
             if again is None:
                 continue
             place = next(number for number, one in enumerate(effects) if one is effect)
             rest = [*effects[:place], *effects[place + 1 :]]
-            if not _included(again, pool.settings):
-                found, effects, changed = base, rest, True
-                continue
+            again = with_odds(again, log_odds_at(effect.inclusion))
             changed |= again.best.cause.name != name
             if again.best.found is not present:
                 found = fitted_on(pool.problem, again.best.found, pool.workers)
@@ -341,7 +344,7 @@ def _posterior(
     if present is None:
         there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
         chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
-    known = pool.signatures_of(base)
+    known = pool.signatures_of(base) if present is None else pool.signatures_of(present)[:-1]
     refitted = pool.refits(base, chosen, known)
     refitted += [present] if present is not None else []
     refitted = [
