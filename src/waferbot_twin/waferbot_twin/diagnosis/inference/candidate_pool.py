@@ -15,7 +15,7 @@ finds only those anew whose blocks these change.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 
 import numpy as np
 
@@ -49,6 +49,9 @@ from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
 """What a least-squares model of an axis has beside its mass and force constant."""
+
+KEPT = 2
+"""Of how many hypotheses the signatures are kept: tens of megabytes each in long logs."""
 
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
@@ -90,7 +93,7 @@ class CandidatePool:
         self._beside: Sequence[Cause] = ()
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
-        self._of_base: dict[frozenset[_Values], dict[str, Signature]] = {}
+        self._of_base: dict[frozenset[Hashable], dict[str, Signature]] = {}
         self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
 
@@ -248,8 +251,10 @@ class CandidatePool:
 
     def signatures_of(self, base: Hypothesis) -> list[Signature]:
         """Return what the causes of `base` themselves change."""
-        key = frozenset(map(_values, base.causes))
+        key = frozenset((_values(cause), cause.held) for cause in base.causes)
         if key not in self._of_base:
+            while len(self._of_base) >= KEPT:
+                self._of_base.pop(next(iter(self._of_base)))
             quick, begun = in_quick_steps(self.problem, base)
             self._of_base[key] = {
                 cause.name: signature(quick, begun, base.causes, place)
