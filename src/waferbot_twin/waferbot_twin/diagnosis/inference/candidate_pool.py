@@ -209,14 +209,10 @@ class CandidatePool:
             and (change := self._changes[self._at_first(one)]) is not None
         ]
         near = alike(base, own, rivals, side_by_side(of_others, counts))
-        return self._screened_anew(base, near, of_others)
-
-    def _screened_anew(
-        self, base: Hypothesis, causes: Sequence[Cause], of_base: Sequence[Signature]
-    ) -> list[Screened]:
-        changes = signatures(self.problem, base, causes, self.workers, self.progress)
-        scales = self.settings.prior_scales
-        return screen(self.problem, base, causes, changes, of_base, scales, self.workers)
+        changes = signatures(problem, base, near, self.workers, self.progress)
+        return screen(
+            problem, base, near, changes, of_others, self.settings.prior_scales, self.workers
+        )
 
     def _promises(
         self,

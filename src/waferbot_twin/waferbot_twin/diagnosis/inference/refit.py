@@ -239,7 +239,7 @@ def _start(problem: Problem, base: Hypothesis, item: Screened) -> Cause:
         return with_fewest_differences(problem, base, start, times)
     if may_ring(problem, start):
         return tuned(problem, base, start)
-    for share in SHARES:
+    for share in SHARES if item.value.any() else ():
         less = times(share)
         if log_likelihood_ratio(evaluate(problem, (*base.causes, less)), base) > 0.0:
             return less
