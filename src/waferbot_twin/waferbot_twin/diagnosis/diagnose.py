@@ -151,11 +151,11 @@ def diagnose(
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
     paths = [item.path for item in numbers]
-    problem = Problem(nominal, records).with_prior(paths)
+    problem = Problem(nominal, records).with_prior(paths, settings.prior_scales)
     effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
-    to_estimate = Problem(nominal, estimation).with_prior(paths)
+    to_estimate = Problem(nominal, estimation).with_prior(paths, settings.prior_scales)
     judged = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
         fitted_to(to_estimate, posterior.found.causes),

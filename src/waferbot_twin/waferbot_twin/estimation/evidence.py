@@ -20,9 +20,10 @@ against none of it is
 
     ln BF = G + ln 1/M sum over m of |V|^1/2 |V_m|^-1/2 exp(-w' V_m^-1 w / 2),  V_m = V + tau_m^2 W   (2)
 
-(Laplace's approximation; G is the w' V^-1 w / 2 of the linear case). A shape parameter, a phase or a
-frequency, has no size: its prior has the width of what is possible, so that whoever tries many
-frequencies pays for it. Parameters with a usual spread s have their prior in the fit already
+(Laplace's approximation; G is the w' V^-1 w / 2 of the linear case, V the covariance that the logs
+alone give). The priors of the other causes (`size_prior`) count in G, as far as their values differ. A
+shape parameter, a phase or a frequency, has no size: its prior has the width of what is possible, so
+that whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in the fit already
 (`residuals.prior_block`), and with it in G and V; what is left of (2) is
 
     ln BF = G + 1/2 ln |V| - sum over n of them of ln s + c(n),                                   (3)
@@ -40,6 +41,7 @@ from scipy.special import logsumexp
 
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
+from waferbot_twin.estimation.size_prior import log_prior, precision, without_prior
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.prior_block import log_normaliser
@@ -156,13 +158,14 @@ def _width(item: Parameter, value: float) -> float:
 
 
 def spread_of(problem: Problem, hypothesis: Hypothesis, place: int) -> Array:
-    """Return the covariance (k, k) of the parameters of one cause of a fitted hypothesis."""
+    """Return the covariance (k, k) that the logs give the parameters of one cause of a fit."""
     counts = [len(parameters_of(problem, cause)) for cause in hypothesis.causes]
     first = sum(counts[:place])
     own = slice(first, first + counts[place])
     if hypothesis.covariance.shape[0] != sum(counts):
         return np.zeros((counts[place], counts[place]))
-    return np.asarray(hypothesis.covariance[own, own])
+    prior = precision(problem, hypothesis.causes[place])
+    return without_prior(np.asarray(hypothesis.covariance[own, own]), prior)
 
 
 def log_evidence(
@@ -180,4 +183,5 @@ def log_evidence(
     cause = more.causes[-1]
     own = parameters_of(problem, cause)
     occam = log_occam(cause, own, spread_of(problem, more, len(more.causes) - 1), scales)
-    return (gain(more, fewer) if gained is None else gained) + occam
+    others = log_prior(problem, more.causes[:-1]) - log_prior(problem, fewer.causes)
+    return (gain(more, fewer) if gained is None else gained) + others + occam

@@ -4,7 +4,8 @@ Fit of all parameters of a set of causes, through the simulation.
 
 Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
 success, and within the bounds of the parameters (a bounded linear least-squares problem): a
-compliance that shrinks to nothing stops there while the others go on.
+compliance that shrinks to nothing stops there while the others go on. Where a problem has a prior of
+sizes (`size_prior`), that is one row more for each of them.
 
 Signatures J are corrected by what a step s has changed in the residuals r (C. G. Broyden, Mathematics of
 Computation 19, 1965),
@@ -36,6 +37,12 @@ from waferbot_twin.estimation.hypothesis import (
     signature,
     width_of,
 )
+from waferbot_twin.estimation.size_prior import (
+    away_from_neutral,
+    log_prior,
+    precision,
+    with_prior,
+)
 from waferbot_twin.estimation.stacked_least_squares import (
     Signature,
     Stacked,
@@ -43,7 +50,6 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
 )
 from waferbot_twin.noise_model.prediction_error import (
-    Fit,
     in_deviations,
     normal_equations,
     reduced,
@@ -70,21 +76,13 @@ class Linear:
     """
     A problem about a hypothesis: change of residuals by the signatures of all its parameters.
 
-    `value` (k,) the change that makes the logs most likely, `signatures` (N, k) of every channel and
-    `estimate` their joint fit; `matrix` (k, k) and `right` (k,) the same problem with few rows,
-    |matrix x - right|^2 to be least.
+    `value` (k,) the most probable change; `matrix` (m, k) and `right` (m,) the problem in few rows,
+    those of the prior among them, |matrix x - right|^2 to be least.
     """
 
     value: Array
     matrix: Array
     right: Array
-    signatures: Sequence[Array]
-    estimate: Fit
-
-    def covariance(self) -> Array:
-        """Return the covariance (k, k) of `value`."""
-        rows = in_deviations(self.estimate.colours, self.signatures)
-        return covariance(np.vstack(rows), self.estimate)
 
 
 def fit_causes(
@@ -97,7 +95,7 @@ def fit_causes(
     roughly: float = 0.0,
 ) -> Hypothesis:
     """
-    Return the causes with the values that make the logs most likely.
+    Return the causes with their most probable values, the likeliest ones without a prior of sizes.
 
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
     that was gained. `known` are signatures of the first causes that were found near here. Signatures
@@ -105,14 +103,15 @@ def fit_causes(
     too little they are found anew, those that are `known` excepted, before the fit ends. Raises
     `UserError` if the simulation blows up where the fit begins.
     """
-    now, gained, linear = evaluate(problem, causes), 0.0, None
+    now, gained = evaluate(problem, causes), 0.0
     names = names_of(problem, causes)
     reach, fresh = REACH, False
     signatures: list[Signature] = []
+    seen: list[Signature] = []
     for _ in range(rounds if names else 0):
         if not signatures:
             signatures, fresh = [*known, *_signatures(problem, now, workers, len(known))], True
-        linear = linearise(problem, now, signatures)
+        linear, seen = linearise(problem, now, signatures), signatures
         better, reach = _step(problem, now, names, linear, reach)
         if better is None and fresh and not roughly and _promised(linear) > PROMISES:
             better, reach = _step(problem, now, names, _sound(problem, now, names, linear), REACH)
@@ -121,7 +120,7 @@ def fit_causes(
         if better is None:
             signatures, reach = [], REACH
             continue
-        gain = log_likelihood_ratio(better, now)
+        gain = _log_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
         # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
@@ -130,13 +129,20 @@ def fit_causes(
         now, fresh = better, False
         if little and not again:
             break
-    if linear is None:
+    if not seen:
         return now
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
-        signatures = [*known, *_signatures(problem, now, workers, len(known))]
-        linear = linearise(problem, now, signatures)
-    return replace(now, covariance=linear.covariance())
+        seen = [*known, *_signatures(problem, now, workers, len(known))]
+    return replace(now, covariance=_covariance(problem, now, seen))
+
+
+def _covariance(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]) -> Array:
+    """Return the covariance (k, k) of the values of a hypothesis, with what the prior says of them."""
+    together = _together(problem, now, signatures)
+    estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
+    rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
+    return with_prior(covariance(np.vstack(rows), estimate), _prior(problem, now))
 
 
 def _corrected(
@@ -208,15 +214,21 @@ def _step(
             tried = evaluate(problem, moved(now.causes, names, change))
         except UserError:
             tried = now
-        if log_likelihood_ratio(tried, now) > 0.0:
+        if _log_ratio(problem, tried, now) > 0.0:
             return tried, 2.0 * reach
         widths = _widths(now.causes, names)
         reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
     return None, reach
 
 
+def _log_ratio(problem: Problem, this: Hypothesis, other: Hypothesis) -> float:
+    """Return ln of the ratio of likelihood times prior of two hypotheses with the same causes."""
+    prior = log_prior(problem, this.causes) - log_prior(problem, other.causes)
+    return log_likelihood_ratio(this, other) + prior
+
+
 def _promised(linear: Linear) -> float:
-    """Return the gain in 2 ln L that the linear problem promises."""
+    """Return the gain in 2 ln of likelihood times prior that the linear problem promises."""
     return float(np.sum((linear.matrix @ linear.value) ** 2))
 
 
@@ -237,7 +249,7 @@ def _sound(problem: Problem, now: Hypothesis, names: Names, linear: Linear) -> L
             )
         except UserError:
             continue
-        sound |= own & (log_likelihood_ratio(tried, now) >= 0.0)
+        sound |= own & (_log_ratio(problem, tried, now) >= 0.0)
     return _only(linear, sound)
 
 
@@ -309,12 +321,32 @@ def linearise(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]
 
     In the colours of its residuals; those of what a step leaves over are found after the step.
     """
-    counts = [len(parameters_of(problem, cause)) for cause in now.causes]
-    together = side_by_side(signatures, counts)
-    estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
+    together = _together(problem, now, signatures)
     stacked = Stacked.of(now.residuals, together)
-    parts = normal_equations(stacked.residuals, stacked.signatures, estimate.colours)
-    return Linear(estimate.value, *reduced(parts), stacked.signatures, estimate)
+    colours = [colour for block in together for colour in now.fits[block].colours]
+    matrix, right = reduced(normal_equations(stacked.residuals, stacked.signatures, colours))
+    prior = _prior(problem, now)
+    away = np.concatenate(
+        [away_from_neutral(cause, parameters_of(problem, cause)) for cause in now.causes]
+    )
+    root, sized = np.sqrt(prior), prior > 0.0
+    matrix = np.vstack([matrix, np.diag(root)[sized]])
+    right = np.concatenate([right, -(root * away)[sized]])
+    norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0.0] = 1.0
+    value = np.linalg.lstsq(matrix / norms, right, rcond=None)[0] / norms
+    return Linear(value, matrix, right)
+
+
+def _together(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]) -> Signature:
+    """Return the signature of all parameters of a hypothesis."""
+    counts = [len(parameters_of(problem, cause)) for cause in now.causes]
+    return side_by_side(signatures, counts)
+
+
+def _prior(problem: Problem, now: Hypothesis) -> Array:
+    """Return the precision (k,) that the prior gives each parameter of a hypothesis."""
+    return np.concatenate([precision(problem, cause) for cause in now.causes])
 
 
 def _signatures(

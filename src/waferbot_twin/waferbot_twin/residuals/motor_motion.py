@@ -3,10 +3,21 @@
 Where the motors were at every tick, from the counts of their encoders.
 
 Windings feel the speed: their back-EMF is a flux that changes, so an error dx of the position, which
-counts have, is an error k dx / L of the current. Positions are smoothed by a polynomial over `SMOOTHED`
-rows (Savitzky and Golay; it does not delay, and loses nothing that is slower than a millisecond),
-brought from when they were published to when they were read, and joined by a cubic spline. The last
-readings of a log are published behind its end: there a motor goes on as fast as it last did.
+counts have, is an error k dx / L of the current. Positions are smoothed by a polynomial over some rows
+(Savitzky and Golay; it does not delay), brought from when they were published to when they were read,
+and joined by a cubic spline. The last readings of a log are published behind its end: there a motor goes
+on as fast as it last did.
+
+**Over how many rows** is what predicts each reading best from the others (leave-one-out
+cross-validation, P. Craven, G. Wahba, Numerische Mathematik 31, 1979): with the weight s_0 that a
+reading has in its own smoothed value, the least mean over the readings of
+
+    ((x - x_smoothed) / (1 - s_0))^2.                                                             (1)
+
+An axis that moves fast needs the fewest rows, which lose nothing that is slower than a millisecond. Of
+one that stands and whose encoder goes to and fro between two counts these would leave a motion that is
+none; its windings then seem to have less back-EMF, as that makes less of it: 9 % less and more
+(attenuation by errors in the variables).
 
 Source: A. Savitzky, M. J. E. Golay, Smoothing and differentiation of data by simplified least squares
 procedures, Analytical Chemistry 36(8), 1964.
@@ -16,16 +27,16 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from waferbot_lockstep.contract import ENCODERS
 from waferbot_plant import encoders
 from waferbot_plant.windings import motor_positions
 from waferbot_twin.residuals.record import Array, Record, common_step
 
-SMOOTHED, DEGREE = 15, 5
+FEWEST, DEGREE = 15, 5
 """
-Encoder rows that a reading is smoothed over, 1.7 ms, and the degree of the polynomial.
+Encoder rows that a reading is smoothed over at least, 1.7 ms, and the degree of the polynomial.
 
 A cubic over 1.2 ms (as noisy as a quintic over 2.1 ms) loses so much of a fast motor's motion that
 the currents seem 0.03 % wrong, which in a quiet log is a cause; this one leaves half of that. Over
@@ -52,6 +63,7 @@ class MotorMotion:
             counts += [0.5 * max(1, common_step(column)) for column in counts.T]
         counts[:, ~np.isfinite(counts).all(axis=0)] = 0.0
         self._counts = counts
+        self._rows = [rows_that_predict(column) for column in counts.T]
         self._smoothed: dict[bytes, Array] = {}
 
     def positions(self, parameters: np.ndarray) -> Array:
@@ -71,7 +83,7 @@ class MotorMotion:
             late = p['encoder_delay'][encoder] + p['delay_fraction'][encoder]
             last = len(read) - 1
             behind = np.maximum(rows + late - last, 0.0)
-            speed = (read[last, motor] - read[last - SMOOTHED + 1, motor]) / (SMOOTHED - 1)
+            speed = (read[last, motor] - read[last - FEWEST + 1, motor]) / (FEWEST - 1)
             spline = CubicSpline(np.arange(len(read)), read[:, motor])
             position[:, motor] = spline(rows + late - behind) + speed * behind
         return position
@@ -84,5 +96,22 @@ class MotorMotion:
             while len(self._smoothed) >= KEPT:
                 self._smoothed.pop(next(iter(self._smoothed)))
             read = motor_positions(parameters, self._counts)
-            self._smoothed[key] = savgol_filter(read, SMOOTHED, DEGREE, axis=0)
+            for encoder, rows in enumerate(self._rows):
+                if parameters[0]['counts_per_unit'][encoder] != 0.0:
+                    motor = parameters[0]['encoder_coordinate'][encoder]
+                    read[:, motor] = savgol_filter(read[:, motor], rows, DEGREE)
+            self._smoothed[key] = read
         return self._smoothed[key]
+
+
+def rows_that_predict(readings: Array) -> int:
+    """Return the rows to smooth readings over that make equation (1) least, twice as many at a time."""
+    rows, found, least = FEWEST, FEWEST, np.inf
+    while rows <= len(readings):
+        own = savgol_coeffs(rows, DEGREE)[rows // 2]
+        missed = (readings - savgol_filter(readings, rows, DEGREE)) / (1.0 - own)
+        square = float(missed @ missed)
+        if square >= least:
+            break
+        found, least, rows = rows, square, 2 * rows + 1
+    return found

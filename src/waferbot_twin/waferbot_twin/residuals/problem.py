@@ -128,6 +128,7 @@ class Problem:
         """Prepare every block that the logs have the signals for."""
         self.nominal = nominal
         self.records = tuple(records)
+        self.size_scales: tuple[float, ...] = ()
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
@@ -225,12 +226,16 @@ class Problem:
         other.blocks = {**self.blocks, PLANT: coloured}
         return other
 
-    def with_prior(self, names: Sequence[str]) -> Problem:
-        """Return the same problem with the prior of parameters that have a usual spread."""
-        if not names:
-            return self
+    def with_prior(self, names: Sequence[str], scales: Sequence[float] = ()) -> Problem:
+        """
+        Return the same problem with the prior of parameters that have a usual spread.
+
+        And with that of the sizes of all effects, of so many `scales` (`estimation.size_prior`).
+        """
         other = copy.copy(self)
-        other.blocks = {**self.blocks, PRIOR: [PriorBlock(self.records[0], names)]}
+        other.size_scales = tuple(scales)
+        if names:
+            other.blocks = {**self.blocks, PRIOR: [PriorBlock(self.records[0], names)]}
         return other
 
     def only(self, blocks: Collection[str]) -> Problem:

@@ -187,6 +187,18 @@ class CandidatePool:
         That is what can do what the cause does, in the linear problem beside the others
         (`screening.alike`).
         """
+        problem = self.problem
+        near = self.could_stand_for(found)
+        if not near:
+            return []
+        base, of_others = evaluate(problem, found.causes[:-1]), self.signatures_of(found)[:-1]
+        changes = signatures(problem, base, near, self.workers, self.progress)
+        return screen(
+            problem, base, near, changes, of_others, self.settings.prior_scales, self.workers
+        )
+
+    def could_stand_for(self, found: Hypothesis) -> list[Cause]:
+        """Return which candidates can do what the last cause of a hypothesis does (`in_place_of`)."""
         problem, cause = self.problem, found.causes[-1]
         try:
             base = evaluate(problem, found.causes[:-1])
@@ -208,11 +220,7 @@ class CandidatePool:
             and not set(blocks).isdisjoint(problem.touched(one.effect, one.axis))
             and (change := self._changes[self._at_first(one)]) is not None
         ]
-        near = alike(base, own, rivals, side_by_side(of_others, counts))
-        changes = signatures(problem, base, near, self.workers, self.progress)
-        return screen(
-            problem, base, near, changes, of_others, self.settings.prior_scales, self.workers
-        )
+        return alike(base, own, rivals, side_by_side(of_others, counts))
 
     def _promises(
         self,

@@ -2,13 +2,8 @@
 """
 Backward elimination: what is not evident beside all that was found goes, the least evident first.
 
-In the linear problem: with w the values of those causes that go, V_ww their covariance and V_vw that
-with the values v of the others,
-
-    v - V_vw V_ww^-1 w    with the covariance    V_vv - V_vw V_ww^-1 V_wv                        (1)
-
-are those of the others without them. What is left is fitted anew through the simulation, and the logs
-have the last word.
+In the linear problem, where the others are as they are without it (`estimation.conditional`). What is
+left is fitted anew through the simulation, and the logs have the last word.
 """
 
 from __future__ import annotations
@@ -19,14 +14,14 @@ import numpy as np
 from scipy.special import logit
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.nuisance import each_once
-from waferbot_twin.diagnosis.inference.refit import fitted, with_last, without
+from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.estimation.conditional import conditional
 from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
-from waferbot_twin.estimation.gauss_newton import Names, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.estimation.size_prior import log_prior, precision, without_prior
 from waferbot_twin.residuals.problem import Problem
-from waferbot_twin.residuals.record import Array
 
 
 def evident(
@@ -51,7 +46,7 @@ def evident(
         by_linear = _linear_odds(pool, found)
         least = min(left, key=lambda effect: by_linear[effect.best.cause.name])
         name = least.best.cause.name
-        base = without(problem, found, name, pool.workers)
+        base = without(problem, found, [name], pool.workers)
         more = with_last(problem, found, name)
         odds = log_evidence(problem, more, base, pool.settings.prior_scales)
         odds += pool.log_prior(more.causes[-1])
@@ -78,9 +73,8 @@ def _without_some(
     """
     out = _eliminated(pool, found, names)
     while len(out) > 1:
-        rest = [cause for cause in found.causes if cause.name not in out]
-        again = fitted(pool.problem, each_once(pool.problem, rest), pool.workers)
-        if again is not None and _log_odds_of(pool, found, again, out) <= 0.0:
+        again = without(pool.problem, found, out, pool.workers)
+        if _log_odds_of(pool, found, again, out) <= 0.0:
             return again
         out = out[: len(out) // 2]
     return None
@@ -90,7 +84,10 @@ def _log_odds_of(
     pool: CandidatePool, more: Hypothesis, fewer: Hypothesis, names: Sequence[str]
 ) -> float:
     """Return ln of the odds that all of some causes are there, by a hypothesis without them."""
-    odds = gain(more, fewer)
+    kept = [cause for cause in more.causes if cause.name not in names]
+    odds = (
+        gain(more, fewer) + log_prior(pool.problem, kept) - log_prior(pool.problem, fewer.causes)
+    )
     for place, cause in enumerate(more.causes):
         if cause.name in names:
             parameters = parameters_of(pool.problem, cause)
@@ -122,30 +119,9 @@ def _eliminated(pool: CandidatePool, found: Hypothesis, names: Sequence[str]) ->
     return out
 
 
-def without_by_linear(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
-    """
-    Return a hypothesis without one cause, the others as equation (1) has them within their bounds.
-
-    Raises `UserError` if the machine blows up so.
-    """
-    names, away, _ = _conditional(problem, found, {name})
-    values = [dict(cause.values) for cause in found.causes]
-    for (place, item), change in zip(names, away, strict=True):
-        if not item.shape:
-            values[place][item.name] = float(np.clip(item.neutral + change, item.low, item.high))
-    return evaluate(
-        problem,
-        tuple(
-            cause.with_values(own)
-            for cause, own in zip(found.causes, values, strict=True)
-            if cause.name != name
-        ),
-    )
-
-
 def _within_bounds(problem: Problem, found: Hypothesis, out: Collection[str]) -> bool:
     """Return whether without some causes the others have values that they can have."""
-    names, away, _ = _conditional(problem, found, out)
+    names, away, _ = conditional(problem, found, out)
     return all(
         item.low <= item.neutral + change <= item.high
         for (place, item), change in zip(names, away, strict=True)
@@ -153,33 +129,11 @@ def _within_bounds(problem: Problem, found: Hypothesis, out: Collection[str]) ->
     )
 
 
-def _conditional(
-    problem: Problem, found: Hypothesis, out: Collection[str]
-) -> tuple[Names, Array, Array]:
-    """Return all parameters, how far they are from neutral, and their covariance, by equation (1)."""
-    names = names_of(problem, found.causes)
-    away = np.array(
-        [
-            0.0 if item.shape else found.causes[place].values[item.name] - item.neutral
-            for place, item in names
-        ]
-    )
-    spread = found.covariance
-    if len(spread) != len(names):  # nothing was fitted
-        spread = np.zeros((len(names), len(names)))
-    gone = np.array([found.causes[place].name in out for place, _ in names], np.bool_)
-    if gone.any():
-        follows = spread[:, gone] @ np.linalg.pinv(spread[np.ix_(gone, gone)], hermitian=True)
-        away = away - follows @ away[gone]
-        spread = spread - follows @ spread[gone]
-    return names, away, spread
-
-
 def _linear_odds(
     pool: CandidatePool, found: Hypothesis, out: Collection[str] = ()
 ) -> dict[str, float]:
     """Return ln of the odds of causes without those `out`, by Wald's statistic: value and covariance."""
-    names, away, spread = _conditional(pool.problem, found, out)
+    names, away, spread = conditional(pool.problem, found, out)
     sizes = np.array([not item.shape for _, item in names], np.bool_)
     odds: dict[str, float] = {}
     for number, cause in enumerate(found.causes):
@@ -192,14 +146,12 @@ def _linear_odds(
             for item, change in zip(parameters, away[own], strict=True)
             if not item.shape
         }
-        both = own & sizes
-        information = np.linalg.pinv(spread[np.ix_(both, both)], hermitian=True)
-        gained = 0.5 * float(away[both] @ information @ away[both])
+        of_logs = without_prior(spread[np.ix_(own, own)], precision(pool.problem, cause))
+        inside = sizes[own]
+        information = np.linalg.pinv(of_logs[np.ix_(inside, inside)], hermitian=True)
+        gained = 0.5 * float(away[own & sizes] @ information @ away[own & sizes])
         occam = log_occam(
-            cause.with_values(values),
-            parameters,
-            spread[np.ix_(own, own)],
-            pool.settings.prior_scales,
+            cause.with_values(values), parameters, of_logs, pool.settings.prior_scales
         )
         odds[cause.name] = gained + occam + pool.log_prior(cause)
     return odds

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
 from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
+from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
 from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import (
@@ -32,6 +33,7 @@ from waferbot_twin.estimation.separable import (
     part_of,
     refined,
 )
+from waferbot_twin.estimation.size_prior import log_prior
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -116,21 +118,46 @@ def to_the_end(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothe
     return fitted(problem, found.causes, workers, TO_THE_END) or found
 
 
-def without(problem: Problem, found: Hypothesis, name: str, workers: int = 1) -> Hypothesis:
+def without(
+    problem: Problem, found: Hypothesis, names: Collection[str], workers: int = 1
+) -> Hypothesis:
     """
-    Return a hypothesis without one cause, the others fitted anew.
+    Return a hypothesis without some causes, the others fitted anew.
 
-    As they are where the machine does not stand so.
+    From where the linear problem has them (`estimation.conditional`), or from where they are if that is
+    more probable. Not fitted where the machine stands with neither.
     """
-    place = next(place for place, cause in enumerate(found.causes) if cause.name == name)
-    rest = (*found.causes[:place], *found.causes[place + 1 :])
-    once = each_once(problem, rest)
+    places = [place for place, cause in enumerate(found.causes) if cause.name in names]
+    kept = [place for place in range(len(found.causes)) if place not in places]
+    as_they_are = tuple(found.causes[place] for place in kept)
+    start = _more_probable(problem, others_without(problem, found, names), as_they_are)
+    once = each_once(problem, start)
     try:
-        if once != rest:
+        if once != start or len(places) > 1:
             return fitted_apart(problem, once, workers, ENOUGH)
-        return fitted_without(problem, found, place, workers, ENOUGH)
+        causes = list(found.causes)
+        for place, cause in zip(kept, start, strict=True):
+            causes[place] = cause
+        moved_on = replace(found, causes=tuple(causes))
+        return fitted_without(problem, moved_on, places[0], workers, ENOUGH)
     except UserError:
-        return evaluate(problem, rest)
+        return evaluate(problem, as_they_are)
+
+
+def _more_probable(
+    problem: Problem, one: tuple[Cause, ...], other: tuple[Cause, ...]
+) -> tuple[Cause, ...]:
+    """Return the more probable of two sets of values; the second if the machine stands with neither."""
+    try:
+        there = evaluate(problem, one)
+    except UserError:
+        return other
+    try:
+        here = evaluate(problem, other)
+    except UserError:
+        return one
+    ratio = log_likelihood_ratio(there, here)
+    return one if ratio + log_prior(problem, one) > log_prior(problem, other) else other
 
 
 def with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:

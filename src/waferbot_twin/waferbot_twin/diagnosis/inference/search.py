@@ -14,14 +14,13 @@ out (`instrument`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
-from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at, without_by_linear
+from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
@@ -41,6 +40,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     with_odds,
 )
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
+from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
@@ -81,7 +81,7 @@ def infer(pool: CandidatePool) -> Posterior:
             found = to_the_end(pool.problem, found, pool.workers)
             return Posterior(nothing, found, tuple(judged), len(pool.names))
         pool.leave_out(feigned)
-        found = without(pool.problem, found, feigned, pool.workers)
+        found = without(pool.problem, found, [feigned], pool.workers)
         effects = [effect for effect in effects if effect.best.cause.name != feigned]
 
 
@@ -145,7 +145,8 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     """
     Return those members beside the first that are plain beside the others, too.
 
-    One after the other, each by its gain in the linear problem without what the chosen ones change.
+    One after the other, each by its gain in the linear problem without what the chosen ones change. None
+    of those that another candidate could stand for: which it is has to be asked.
     """
     plain = log_odds_at(pool.settings.named_from)
     chosen, changes = [members[0]], [_change(base, members[0])]
@@ -163,8 +164,10 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
         if odds[best] <= plain:
             break
         one, change = rest.pop(best)
-        chosen.append(one)
-        changes.append(change)
+        names = {item.cause.name for item in chosen}
+        if all(rival.name in names for rival in pool.could_stand_for(one.found)):
+            chosen.append(one)
+            changes.append(change)
     return chosen[1:]
 
 
@@ -258,9 +261,12 @@ def _instrumented(
         cause = effect.best.cause
         more = with_last(problem, found, cause.name)
         gained = None
-        for fewer in (without_by_linear, partial(without, workers=pool.workers)):
+        for refitted in (False, True):
             try:
-                base = fewer(problem, found, cause.name)
+                if refitted:
+                    base = without(problem, found, [cause.name], pool.workers)
+                else:
+                    base = without_by_linear(problem, found, cause.name)
             except UserError:
                 continue
             gained = instrumented_gain(problem, base, more, settings.endogeneity_level, ideal)

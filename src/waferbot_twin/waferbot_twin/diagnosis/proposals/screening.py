@@ -39,6 +39,7 @@ from waferbot_twin.estimation.hypothesis import (
     signature,
     whole_change,
 )
+from waferbot_twin.estimation.size_prior import away_from_neutral, precision_at, with_prior
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.gram import spanning
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
@@ -446,13 +447,12 @@ class _Linear:
             item.name: float(np.clip(rival.values[item.name] + change, item.low, item.high))
             for item, change in zip(parameters, self.value, strict=True)
         }
-        occam = log_occam(
-            rival.with_values(values),
-            [parameters[place] for place in shown],
-            self.spread[np.ix_(shown, shown)],
-            scales,
-        )
-        return self.fitted.screened(rival, self.value, occam)
+        seen, spread = [parameters[place] for place in shown], self.spread[np.ix_(shown, shown)]
+        likeliest = rival.with_values(values)
+        occam = log_occam(likeliest, seen, spread, scales)
+        prior, value = precision_at(likeliest, seen, scales), self.value.copy()
+        value[shown] -= with_prior(spread, prior) @ (prior * away_from_neutral(likeliest, seen))
+        return self.fitted.screened(rival, value, occam)
 
 
 def untempered(rival: Cause, evidence: float) -> Screened:

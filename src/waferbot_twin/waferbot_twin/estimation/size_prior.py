@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+The prior of an effect's sizes as a part of every fit.
+
+Of a cause with n sizes w, W the squares of their typical values,
+
+    p(w) = 1/M sum over m of N(w; 0, tau_m^2 W),        w'W^-1 w = q                               (1)
+
+(a normal scale mixture). The fit ends where likelihood times prior is largest. Where the logs say what
+a size is, that is where the likelihood is largest; where they say only a sum or a difference of some, as
+of a force that repeats over a way of which the axis went a tenth, each is as small as it can be. Without
+a prior they run away against each other as far as their bounds.
+
+About given sizes (1) is as a normal distribution with the precision
+
+    P = W^-1 sum over m of p_m / tau_m^2,    p_m ~ tau_m^-n exp(-q / (2 tau_m^2)),                  (2)
+
+with which every step of the fit makes (1) larger (expectation-maximisation: A. Dempster, N. Laird,
+D. Rubin, J. Royal Statistical Society B 39, 1977). A shape parameter has no size. Those of the dense
+effect have a prior of their own (`residuals.prior_block`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import logsumexp, softmax
+
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.hypothesis import parameters_of
+from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
+
+LARGEST = 1e9
+"""Variance of what the logs do not say, in that which it has with the prior."""
+
+
+def log_prior(problem: Problem, causes: Sequence[Cause]) -> float:
+    """Return ln of equation (1) of all causes, up to a constant for each; 0 without a prior."""
+    total = 0.0
+    for cause in causes if problem.size_scales else ():
+        count, square = _of(cause, parameters_of(problem, cause))
+        terms = _log_terms(count, square, problem.size_scales)
+        total += float(logsumexp(terms)) if count else 0.0
+    return total
+
+
+def precision(problem: Problem, cause: Cause) -> Array:
+    """Return the diagonal (k,) of equation (2) for the parameters of a cause; zeros without a prior."""
+    return precision_at(cause, parameters_of(problem, cause), problem.size_scales)
+
+
+def precision_at(cause: Cause, parameters: Sequence[Parameter], scales: Sequence[float]) -> Array:
+    """Return the diagonal (k,) of equation (2) for some parameters of a cause."""
+    count, square = _of(cause, parameters)
+    if not scales or not count:
+        return np.zeros(len(parameters))
+    weights = softmax(_log_terms(count, square, scales))
+    mean = float(weights @ np.array(scales) ** -2.0)
+    return np.array([mean / size(item) ** 2 if size(item) > 0.0 else 0.0 for item in parameters])
+
+
+def size(item: Parameter) -> float:
+    """Return the typical size of a parameter; 0 of one that has none, or a prior of its own."""
+    return 0.0 if item.shape or item.spread else abs(item.typical - item.neutral)
+
+
+def away_from_neutral(cause: Cause, parameters: Sequence[Parameter]) -> Array:
+    """Return how far each parameter (k,) is from there being none of it; 0 of a shape."""
+    return np.array(
+        [0.0 if item.shape else cause.values[item.name] - item.neutral for item in parameters]
+    )
+
+
+def without_prior(spread: Array, prior: Array) -> Array:
+    """
+    Return the covariance (k, k) that the logs alone give, of one to which a prior has contributed.
+
+    `prior` is the diagonal of its precision, equation (2). What the logs do not say has `LARGEST`.
+    """
+    if not prior.any():
+        return spread
+    unit = _errors(spread)
+    posterior = np.linalg.pinv(spread / np.outer(unit, unit), hermitian=True)
+    values, vectors = np.linalg.eigh(posterior - np.diag(prior * unit**2))
+    known = vectors / np.maximum(values, 1.0 / LARGEST) @ vectors.T
+    return np.asarray(known * np.outer(unit, unit))
+
+
+def with_prior(spread: Array, prior: Array) -> Array:
+    """Return the covariance (k, k) with a prior of the diagonal precision (k,), of one without."""
+    if not prior.any():
+        return spread
+    # (V^-1 + P)^-1 = V (1 + P V)^-1, for a V that may have no inverse.
+    unit = _errors(spread)
+    scaled, own = spread / np.outer(unit, unit), prior * unit**2
+    found = scaled @ np.linalg.inv(np.eye(len(own)) + own[:, None] * scaled)
+    return np.asarray(0.5 * (found + found.T) * np.outer(unit, unit))
+
+
+def _errors(spread: Array) -> Array:
+    """Return standard errors to scale by; 1 where there is none."""
+    return np.sqrt(np.where(np.diag(spread) > 0.0, np.diag(spread), 1.0))
+
+
+def _of(cause: Cause, parameters: Sequence[Parameter]) -> tuple[int, float]:
+    """Return how many sizes a cause has, and q of equation (1)."""
+    sizes = np.array([size(item) for item in parameters])
+    there = sizes > 0.0
+    away = away_from_neutral(cause, parameters)[there] / sizes[there]
+    return int(there.sum()), float(away @ away)
+
+
+def _log_terms(count: int, square: float, scales: Sequence[float]) -> Array:
+    """Return ln of the terms of equation (1), up to a constant."""
+    return np.array(
+        [-count * math.log(scale) - 0.5 * square / scale**2 for scale in scales]
+    ) - math.log(len(scales) or 1)
