@@ -47,6 +47,8 @@ def model(amplitude, rate, offset):
 class Decay:
     """A problem whose plant is a decay, measured with noise: residual measured less simulated."""
 
+    size_scales = ()
+
     def __init__(self, measured):
         self.nominal = {}
         self.blocks = {PLANT: [None]}
@@ -151,9 +153,15 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
     )
     value = np.array([20.0 * true])
     matrix = np.array([[promises / value[0]]])
-    linear = gauss_newton.Linear(value, matrix, matrix @ value, matrix, None)
+    linear = gauss_newton.Linear(value, matrix, matrix @ value)
     now = simulated(None, (cause,))
-    tried, _ = gauss_newton._step(None, now, [(0, parameter)], linear, gauss_newton.REACH)
+    tried, _ = gauss_newton._step(
+        SimpleNamespace(nominal=None, size_scales=()),
+        now,
+        [(0, parameter)],
+        linear,
+        gauss_newton.REACH,
+    )
     assert (tried is not None) == better
     if better:
         assert tried.log_likelihood > now.log_likelihood

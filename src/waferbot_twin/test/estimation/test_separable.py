@@ -43,6 +43,8 @@ class Term:
 class Blocks:
     """A problem with three blocks, each bent in what it reads; counts how often each is simulated."""
 
+    size_scales = ()
+
     def __init__(self, measured, blocks=tuple(READS), simulated=None):
         self.nominal, self.measured = {}, measured
         self.blocks = {block: [None] if block in blocks else [] for block in READS}

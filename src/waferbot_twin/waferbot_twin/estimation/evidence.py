@@ -23,8 +23,8 @@ against none of it is
 (Laplace's approximation; G is the w' V^-1 w / 2 of the linear case, V the covariance that the logs
 alone give). The priors of the other causes (`size_prior`) count in G, as far as their values differ. A
 shape parameter, a phase or a frequency, has no size: its prior has the width of what is possible, so
-that whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in the fit already
-(`residuals.prior_block`), and with it in G and V; what is left of (2) is
+that whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in
+the fit already (`residuals.prior_block`), and with it in G and V; what is left of (2) is
 
     ln BF = G + 1/2 ln |V| - sum over n of them of ln s + c(n),                                   (3)
 

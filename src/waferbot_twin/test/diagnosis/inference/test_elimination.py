@@ -18,7 +18,9 @@ from waferbot_twin.residuals.problem import Cause
 
 NAMES = ('one', 'two', 'three', 'four')
 POOL = SimpleNamespace(
-    problem=SimpleNamespace(nominal=None), settings=Settings(), log_prior=lambda cause: -3.0
+    problem=SimpleNamespace(nominal=None, size_scales=()),
+    settings=Settings(),
+    log_prior=lambda cause: -3.0,
 )
 
 

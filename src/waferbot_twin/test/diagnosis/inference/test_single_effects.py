@@ -76,6 +76,8 @@ class Term:
 class Sum:
     """A problem whose plant is a sum of terms in white noise; nobody knows what was commanded."""
 
+    size_scales = SETTINGS.prior_scales
+
     def __init__(self, measured):
         self.nominal = {}
         self.blocks = {PLANT: [None]}
