@@ -9,8 +9,8 @@ cannot be told from it in some motions: naming one is neither right nor a false 
 
     coulomb (friction at the axis): coulomb_friction [1, 2]; presliding
     motor_coulomb (friction at the motor): gearbox_friction [3]; coulomb_friction, presliding
-    direction_dependent (forward, backward): direction_dependent_friction; coulomb_friction and
-        constant_force, whose sum it is as long as it moves
+    direction_dependent (forward, backward): coulomb_friction, its mean, with the rest as constant_force:
+        the library's direction_dependent_friction is that sum
     stribeck (breakaway, speed): stribeck_friction
     viscous (damping): viscous_friction [2]
     mass (amount, kg or kg m2): wrong_inertia; force_constant, encoder_scale
@@ -99,11 +99,13 @@ def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Ma
         if kind == 'drive_delay':
             right += (Answer('command_delay'),)
         return Answers(right, frozenset({'motor_encoder_delay'}))
+    if kind == 'direction_dependent':
+        mean = 0.5 * (values['forward'] + values['backward'])
+        own = _dry(machine, mean, hidden, stiff_gear)
+        return Answers(own.right, own.related | {'constant_force'})
+    if kind == 'constant_force' and 'direction_dependent' in hidden:
+        return Answers((Answer(kind),))  # with the rest of that friction
     name, related = {
-        'direction_dependent': (
-            'direction_dependent_friction',
-            {'coulomb_friction', 'constant_force'},
-        ),
         'stribeck': ('stribeck_friction', set()),
         'motor_constant': ('force_constant', _in_other_measure(machine, 'wrong_inertia')),
         'constant_force': ('constant_force', set()),

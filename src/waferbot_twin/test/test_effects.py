@@ -444,6 +444,25 @@ def test_there_is_one_floor_and_each_direction_of_it_has_one_name():
     assert np.max(cosines - np.eye(len(directions))) < 0.9
 
 
+@pytest.mark.parametrize('axis', ['y_linear', 'x_rotate', 'y_rotate'])
+def test_friction_that_differs_with_direction_is_coulomb_friction_and_a_constant_force(axis):
+    nominal = Variant.of(load_model('rigid'))
+    effect = find('direction_dependent_friction')
+    assert axis in effect.axes(nominal)
+    assert effect.distinct_axes(nominal) == ()
+    forward, backward = effect.typical(nominal, axis).values()
+    one = effect.apply(nominal, axis, {'forward': forward, 'backward': backward})
+    other = nominal
+    for name, value in zip(
+        effect.same_as, (0.5 * (forward + backward), 0.5 * (backward - forward)), strict=True
+    ):
+        (parameter,) = find(name).parameters(nominal, axis)
+        other = find(name).apply(other, axis, {parameter.name: value})
+    moved = [twin(variant).advance(3000).counts for variant in (one, other)]
+    assert np.max(np.abs(moved[0] - moved[1])) <= 1
+    assert np.max(np.abs(moved[0] - twin(nominal).advance(3000).counts)) > 10
+
+
 @pytest.mark.parametrize(
     ('name', 'axis', 'power'),
     [
@@ -462,7 +481,7 @@ def test_friction_behind_what_may_give_is_told_from_that_of_the_axis_only_if_it_
     assert effect.distinct_axes(flexible) == (axis,)
     # In the rigid model the same force at the axis moves it in the same way.
     ratio = places.motor_ratio(rigid, axis)
-    same = find(effect.same_as)
+    same = find(*effect.same_as)
     value = next(iter(effect.typical(rigid, axis).values()))
     (behind,), (of_axis,) = (item.parameters(rigid, axis) for item in (effect, same))
     one = effect.apply(rigid, axis, {behind.name: value})

@@ -42,9 +42,9 @@ SMALL = 1e-6
 def same_names(variant: Variant) -> dict[str, str]:
     """Return `effect:axis` of effects that do exactly what another one does in a model, and which."""
     return {
-        f'{name}:{axis}': f'{effect.same_as}:{axis}'
+        f'{name}:{axis}': f'{effect.same_as[0]}:{axis}'
         for name, effect in library().items()
-        if effect.same_as
+        if len(effect.same_as) == 1
         for axis in effect.axes(variant)
         if axis not in effect.distinct_axes(variant)
     }

@@ -274,13 +274,16 @@ def _credible_set(
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
-    """Say of each cause what else does exactly the same in this model."""
+    """Say of the causes of each axis what else does exactly the same in this model."""
+    names = {cause.name for cause in causes}
     return [
-        f'in this model {effect.name} does the same on {cause.axis}: {cause.effect.name} stands for both'
-        for cause in causes
+        f'in this model {effect.name} does the same on {axis}: {" and ".join(effect.same_as)} '
+        f'{"stands" if len(effect.same_as) == 1 else "together stand"} for it, too'
         for effect in library().values()
-        if effect.same_as == cause.effect.name
-        and cause.axis in set(effect.axes(variant)) - set(effect.distinct_axes(variant))
+        for axis in effect.axes(variant)
+        if effect.same_as
+        and axis not in effect.distinct_axes(variant)
+        and all(f'{name}:{axis}' in names for name in effect.same_as)
     ]
 
 

@@ -39,7 +39,7 @@ EFFECT = Effect(
     equation='F = friction sign(v_counterweight)',
     tried_at=frictions.STICKS,
     usual=True,
-    same_as='coulomb_friction',
+    same_as=('coulomb_friction',),
     distinct=places.drive_gives,
     title='Coulomb friction of the counterweight',
 )

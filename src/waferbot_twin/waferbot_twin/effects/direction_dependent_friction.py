@@ -4,9 +4,12 @@ Dry friction that differs with the direction: a seal lip, a cable carrier, a can
 
     F = forward (v > 0), -backward (v < 0)
 
-While the axis moves this is Coulomb friction of the mean and a constant force of half the
-difference; only where it stands still are they different, as friction then holds and a force does
-not.
+This is Coulomb friction of the mean and a constant force of half the difference,
+
+    friction = (forward + backward) / 2,    force = (backward - forward) / 2,
+
+in every motion, standing still included: as friction is not less than nothing in either direction, that
+force never moves the axis by itself. No log can tell the two apart, so a diagnosis names the sum.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from waferbot_twin.effects import frictions, places
-from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.effect import Block, Effect, Parameter, nowhere
 from waferbot_twin.effects.variant import Overlay, Variant
 
 
@@ -46,5 +49,7 @@ EFFECT = Effect(
     _overlay,
     equation='F = forward (v > 0), -backward (v < 0)',
     tried_at=frictions.STICKS,
+    same_as=('coulomb_friction', 'constant_force'),
+    distinct=nowhere,
     title='Coulomb friction that differs with direction',
 )

@@ -62,6 +62,11 @@ def always(variant: Variant, axis: str) -> bool:
     return True
 
 
+def nowhere(variant: Variant, axis: str) -> bool:
+    """Tell an effect from every other one in no model."""
+    return False
+
+
 def one_trial(variant: Variant, axis: str) -> tuple[Values, ...]:
     """Return the one trial of an effect whose typical shape parameters will do."""
     return ({},)
@@ -96,8 +101,8 @@ class Effect:
     else; `cycle` is that which is a period in counts of the axis' encoder. One whose name says that it
     repeats along the way `repeats_after` a length, m or rad of its axis (0: never). Of a `usual` one
     every machine has some. One that is `evident` stands in the readings themselves, and no noise
-    feigns it. Where one is not `distinct` in a model, the effect `same_as` does exactly the same and
-    stands for it.
+    feigns it. Where one is not `distinct` in a model, the effects `same_as` together do exactly the same
+    and stand for it.
     """
 
     name: str
@@ -117,7 +122,7 @@ class Effect:
     tone: str = ''
     cycle: str = ''
     repeats_after: Length = never
-    same_as: str = ''
+    same_as: tuple[str, ...] = ()
     distinct: Callable[[Variant, str], bool] = always
     title: str = ''
 

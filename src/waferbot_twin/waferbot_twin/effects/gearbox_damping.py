@@ -34,7 +34,7 @@ EFFECT = Effect(
     _overlay,
     equation='F = damping v_motor',
     usual=True,
-    same_as='viscous_friction',
+    same_as=('viscous_friction',),
     distinct=places.drive_gives,
     title='viscous friction of motor and gearbox',
 )

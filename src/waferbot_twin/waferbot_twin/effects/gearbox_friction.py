@@ -37,7 +37,7 @@ EFFECT = Effect(
     equation='F = friction sign(v_motor)',
     tried_at=frictions.STICKS,
     usual=True,
-    same_as='coulomb_friction',
+    same_as=('coulomb_friction',),
     distinct=places.drive_gives,
     title='Coulomb friction of motor and gearbox',
 )

@@ -184,7 +184,7 @@ class CandidatePool:
         """
         Return what could be in place of the last cause of a hypothesis, with linear fits, best first.
 
-        That is what can do what the cause does, in the linear problem beside the others
+        That is what gains what the cause does, in the linear problem beside the others
         (`screening.alike`).
         """
         problem = self.problem
@@ -198,7 +198,7 @@ class CandidatePool:
         )
 
     def could_stand_for(self, found: Hypothesis) -> list[Cause]:
-        """Return which candidates can do what the last cause of a hypothesis does (`in_place_of`)."""
+        """Return which candidates can stand for the last cause of a hypothesis (`in_place_of`)."""
         problem, cause = self.problem, found.causes[-1]
         try:
             base = evaluate(problem, found.causes[:-1])

@@ -145,7 +145,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     """
     Return those members beside the first that are plain beside the others, too.
 
-    One after the other, each by its gain in the linear problem without what the chosen ones change. None
+    One after the other, each by its gain in the linear problem without what those before it change. None
     of those that another candidate could stand for: which it is has to be asked.
     """
     plain = log_odds_at(pool.settings.named_from)
@@ -167,7 +167,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
         names = {item.cause.name for item in chosen}
         if all(rival.name in names for rival in pool.could_stand_for(one.found)):
             chosen.append(one)
-            changes.append(change)
+        changes.append(change)
     return chosen[1:]
 
 

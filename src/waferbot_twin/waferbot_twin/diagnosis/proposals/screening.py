@@ -255,7 +255,7 @@ def _screen(
 
 
 ALIKE = 0.5
-"""Share of what a cause does that a candidate can do, from which on it may be that in place of it."""
+"""Share of what a cause gains that a candidate gains in its place, to be what may be there instead."""
 
 
 def alike(
@@ -265,16 +265,22 @@ def alike(
     beside: Signature,
 ) -> list[Cause]:
     """
-    Return which of the rivals can do what a cause does (`own`, as a whole), beside what is known.
+    Return which of the rivals can stand for a cause that changes `own`, as a whole.
 
-    With what known causes (`beside`) could explain taken out of both: the share R^2 of the square sum of
-    the one's change, white, that least squares on the other's signature explain.
+    With r the white residual without the cause, d what it takes away, and what known causes (`beside`)
+    could explain taken out of both: those of whose signature the projection P makes at least a share of
+    the cause's gain, and only without the cause,
+
+        |P r|^2 - |P (r - d)|^2  >=  ALIKE (|r|^2 - |r - d|^2).
+
+    What gains as much beside the cause is another one that lacks, and no rival.
     """
     blocks = tuple(dict.fromkeys([*own, *(name for name in (PRIOR,) if name in beside)]))
     known = _Known.of(base, beside, blocks)
-    wanted = _without(
-        np.vstack(_in_places(known.places, known.before, _white(base, own))), known.columns
-    )
+    taken = np.vstack(_in_places(known.places, known.before, _white(base, own)))
+    left = known.left[:, None]
+    both = np.hstack([left, left - _without(taken, known.columns)])
+    without, beside_it = np.sum(both**2, axis=0)
     found = []
     for rival, change in rivals:
         signature = {block: part for block, part in change.signature.items() if block in own}
@@ -283,8 +289,10 @@ def alike(
         rows = np.vstack(_in_places(known.places, known.before, _white(base, signature)))
         alone = _without(rows, known.columns)
         alone /= np.maximum(np.linalg.norm(alone, axis=0), 1e-300)
-        size = np.linalg.lstsq(alone.T @ alone, alone.T @ wanted, rcond=1e-10)[0]
-        if float(np.sum((wanted - alone @ size) ** 2)) < (1.0 - ALIKE) * float(np.sum(wanted**2)):
+        moments = alone.T @ both
+        sizes = np.linalg.lstsq(alone.T @ alone, moments, rcond=1e-10)[0]
+        gained = np.sum(moments * sizes, axis=0)
+        if 0.0 < ALIKE * (without - beside_it) <= gained[0] - gained[1]:
             found.append(rival)
     return found
 
