@@ -100,35 +100,41 @@ def _ask_on(
     many others leave over. So where something is found a second time, what everybody fits first comes
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
     (`CandidatePool.usual`). All these are tentative: each stays if it is evident beside all that was
-    found by then.
+    found by then. A force without a name is asked for again beside them, and not there before: it would
+    do what several of them do together.
     """
     asked, usual = 0, False
     effects, tentative = list(effects), list[SingleEffect]()
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
         asked += 1
-        more: list[Cause] = []
-        if effect is not None and _included(effect, pool.settings):
-            best = effect.best
-            effects.append(effect)
-            apart = _apart(pool, found, effect.members)
-            tentative += [SingleEffect((one,), effect.none) for one in apart]
-            more += [one.cause for one in apart]
-        elif effect is not None and (ahead := _ahead(pool.problem, found, effect)) is not None:
-            best = ahead
-            tentative.append(SingleEffect((ahead,), effect.none))
-        else:
+        if effect is None:
             break
+        included = _included(effect, pool.settings)
+        best = effect.best if included else _ahead(pool.problem, found, effect)
+        if best is None:
+            break
+        causes = found.causes
+        without_name = is_discrepancy(best.cause) and not usual
+        if not without_name:
+            causes = best.found.causes
+            (effects if included else tentative).append(
+                effect if included else SingleEffect((best,), effect.none)
+            )
+            for one in _apart(pool, found, effect.members) if included else ():
+                tentative.append(SingleEffect((one,), effect.none))
+                causes = (*causes, one.cause)
         first: list[Cause] = []
-        if asked > 1 and not usual:
+        if not usual and (asked > 1 or without_name):
             usual = True
-            there = {cause.name for cause in (*best.found.causes, *more)}
+            there = {cause.name for cause in causes}
             first = [cause for cause in pool.usual() if cause.name not in there]
-        together = each_once(pool.problem, (*best.found.causes, *more, *first))
-        joint = together != best.found.causes
-        found = (fitted(pool.problem, together, pool.workers) if joint else None) or fitted_on(
-            pool.problem, best.found, pool.workers
-        )
+        together = each_once(pool.problem, (*causes, *first))
+        joint = fitted(pool.problem, together, pool.workers) if together != causes else None
+        if joint is not None:
+            found = joint
+        elif not without_name:
+            found = fitted_on(pool.problem, best.found, pool.workers)
         names = {cause.name for cause in found.causes}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
