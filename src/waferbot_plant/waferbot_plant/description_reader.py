@@ -360,7 +360,18 @@ class Reader:
         law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, **law)
+            return Connection(
+                name,
+                flexible,
+                rotary,
+                stiffness,
+                None,
+                loss,
+                free,
+                **law,
+                part=self.part(key, value),
+                direction=value.get('direction', ''),
+            )
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -12,12 +13,14 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.recording.reader import Progress, header_of
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
 from waferbot_twin.thinning import thinned
+from waferbot_twin.validity import OUTSIDE, recorded_validity
 
 TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 COMMAND_COLOUR, MEASURED_COLOUR, ERROR_COLOUR = '#999999', '#1f5fa8', '#b5401f'
@@ -57,7 +60,26 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
         panels[2][column].set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
     set_title(figure, f'{path.name}: {title}')
+    _tell_departures(figure, [row for row in recorded_validity(path) if row['outside']])
     save_drawing(figure, file)
+
+
+def _tell_departures(figure: Figure, departures: list[dict[str, Any]]) -> None:
+    """Write below all panels where the run left the range of its model."""
+    if not departures:
+        return
+    lines = [f'{OUTSIDE}:', *(f'{row["place"]}: {_amount(row)}' for row in departures)]
+    height = 0.16 * (len(lines) + 1)
+    share = height / (figure.get_figheight() + height)
+    figure.set_figheight(figure.get_figheight() + height)
+    figure.tight_layout(rect=(0.0, share, 1.0, 0.97))
+    figure.text(
+        0.01, 0.5 * share, '\n'.join(lines), fontsize=8, color=ERROR_COLOUR, va='center', ha='left'
+    )
+
+
+def _amount(row: dict[str, Any]) -> str:
+    return f'{row["what"]} {row["worst"]:.4g} {row["unit"]} at {row["worst_s"]:.3f} s ({row["limits"]})'
 
 
 def _draw_position(panel: Axes, response: AxisResponse) -> None:

@@ -33,6 +33,7 @@ from waferbot_twin.cli.seeds import add_seed
 from waferbot_twin.engines.layout import DELIVERIES, DIRECT
 from waferbot_twin.engines.with_ros import engine_with_ros
 from waferbot_twin.plan import Outcome, Plan, make_plan
+from waferbot_twin.validity import OUTSIDE
 
 ENGINES = ('ros', 'composed', 'inprocess')
 
@@ -129,6 +130,8 @@ def execute(options: argparse.Namespace) -> int:
             f'({result["realtime_factor"]:.2f} x real time; {result["wall_s"]:.1f} s with start-up)'
         )
         print(result['recorder'])
+        for line in result['outside']:
+            print(f'{OUTSIDE}: {line}')
         if result['out']:
             print(f'recorded to {result["out"]}')
     return 0
@@ -196,6 +199,7 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         'loop_s': outcome.loop_s,
         'realtime_factor': sim_s / outcome.loop_s,
         'recorder': outcome.recorder,
+        'outside': list(outcome.departures),
         'out': str(options.out) if options.out else None,
     }
 
