@@ -52,6 +52,10 @@ BASE = 'base'
 DAMPING = ('calculated', 'improved')
 """The two sets of loss factors and friction; see the thesis, chapter 6."""
 
+MULTIBODY, LAGRANGE = 'multibody', 'lagrange'
+FORMULATIONS = (MULTIBODY, LAGRANGE)
+"""By which equations a machine moves: recursion over its tree, or those of the thesis' Appendix B."""
+
 STATES = ('rigid', 'flexible')
 """What a connection can be."""
 
@@ -399,3 +403,4 @@ class Description:
     parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
+    formulation: str = MULTIBODY

@@ -16,6 +16,7 @@ from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import imperfections, part_library
 from waferbot_plant.description import (
     BASE,
+    MULTIBODY,
     Body,
     Connection,
     Damper,
@@ -92,6 +93,7 @@ class Reader:
             name=self.data['name'],
             gravity=np.array(self.data.get('gravity_m_s2', [0.0, -9.81, 0.0]), float),
             substeps=int(self.data.get('substeps', 1)),
+            formulation=str(self.data.get('formulation', MULTIBODY)),
             encoder_delay=int(feedback.get('delay_cycles', 1)),
             bodies=self.bodies,
             joints=self.joints,

@@ -45,8 +45,11 @@ from waferbot_plant import (
     spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
-from waferbot_plant.description import Description
+from waferbot_plant.description import LAGRANGE, Description
 from waferbot_plant.description_file import load_description
+from waferbot_plant.lagrange.closed_loop import advance_lagrange
+from waferbot_plant.lagrange.from_description import check_lagrange, mathematical_parameters
+from waferbot_plant.lagrange.parameters import PARAMETERS as LAGRANGE_PARAMETERS
 
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
@@ -96,6 +99,10 @@ def advance(state, parameters, voltage):
         find_imperfections(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
+    if p['lagrangian']:
+        for _ in range(p['substeps']):
+            advance_lagrange(s, p, voltage, p['step'])
+        return
     for _ in range(p['substeps']):
         integrator.advance_step(s, p, voltage, p['step'])
 
@@ -245,6 +252,10 @@ class Machine:
         p['step'] = self.timing.tick_s / description.substeps
         for part, number in self.in_use.items():
             p[part] = number
+        if description.formulation == LAGRANGE:
+            check_lagrange(description, self.coordinates)
+            p['lagrangian'] = 1
+            p['lagrange'] = mathematical_parameters(description)
         self._fill_mechanism(p)
         self._fill_elements(p)
         self._fill_disturbances(p)
@@ -414,6 +425,8 @@ def _parameter_dtype(
             *current_sensors.PARAMETER_FIELDS,
             ('axis_coordinate', 'i8', (len(AXES),)),
             ('axis_ratio', 'f8', (len(AXES),)),
+            ('lagrangian', 'i8'),
+            ('lagrange', LAGRANGE_PARAMETERS, (1,)),
             *disturbances.PARAMETER_FIELDS,
         ],
         align=True,

@@ -11,7 +11,7 @@ from waferbot_twin.plain_values import significant
 from waferbot_twin.statements import Finding
 from waferbot_twin.step_runs import Runs
 from waferbot_twin.tables import Table
-from waferbot_twin.thesis_figures import MET_COLOUR, MISSED_COLOUR, draw, figures
+from waferbot_twin.thesis_figures import MET_COLOUR, MISSED_COLOUR, Figure, draw, figures
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; }
@@ -33,12 +33,22 @@ def write_report(
 ) -> None:
     """Write `index.html` and its pictures into an existing folder."""
     for figure in figures():
-        draw(figure, runs, _of_figure(statements, figure.number), folder / figure.file)
+        about = _of_axis(_of_figure(statements, figure.number), figure)
+        draw(figure, runs, about, folder / figure.file)
     (folder / 'index.html').write_text(_page(tables, statements, command), encoding='utf-8')
 
 
 def _of_figure(statements: Sequence[Finding], number: str) -> list[Finding]:
     return [finding for finding in statements if finding.statement.figure == number]
+
+
+def _of_axis(findings: Sequence[Finding], figure: Figure) -> list[Finding]:
+    """Return what is said of a figure's axis; of no axis, what is said of the whole."""
+    return [
+        finding
+        for finding in findings
+        if finding.statement.about.get('axis', figure.axis) == figure.axis
+    ]
 
 
 def _page(tables: list[Table], statements: Sequence[Finding], command: str) -> str:
@@ -60,9 +70,10 @@ def _page(tables: list[Table], statements: Sequence[Finding], command: str) -> s
     for figure in figures():
         caption = html.escape(figure.caption)
         drawn.add(figure.number)
+        about = _of_axis(_of_figure(statements, figure.number), figure)
         parts.append(
             f'<h3>{caption}</h3><img src="{figure.file}" alt="{caption}" loading="lazy">'
-            + _statements(_of_figure(statements, figure.number))
+            + _statements(about)
         )
     others = [finding for finding in statements if finding.statement.figure not in drawn]
     if others:

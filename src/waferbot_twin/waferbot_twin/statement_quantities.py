@@ -342,6 +342,12 @@ def difference_of_curves(
     return Measured(rms(one - other) / rms(other - other.mean()))
 
 
+def largest_difference(runs: Runs, axis: str, model: str, reference: str, step: str) -> Measured:
+    """Return the largest distance of two positions, in steps."""
+    _, one, other = _together(of(runs, model, axis, step), of(runs, reference, axis, step))
+    return Measured(float(np.abs(one - other).max()), 'steps')
+
+
 def lead(
     runs: Runs,
     axis: str,
@@ -565,6 +571,7 @@ QUANTITIES: dict[str, Callable[..., Measured]] = {
         rms_error_ratio,
         difference_of_errors,
         difference_of_curves,
+        largest_difference,
         lead,
         strongest_line,
         line_ratio,

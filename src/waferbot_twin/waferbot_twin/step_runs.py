@@ -3,7 +3,8 @@
 The steps of chapters 4 and 6 of the thesis, run in process: each axis alone, on every model needed.
 
 `as_built` stands for the measured machine; `calculated` is the flexible model with the damping of
-chapter 5; `calculated_rigid_drive` is that with gearbox and belt rigid.
+chapter 5; `calculated_rigid_drive` is that with gearbox and belt rigid. `mathematical` is the rigid
+machine by the equations of Appendix B.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ MODELS = ('rigid', 'flexible', 'simplified', 'as_built', 'calculated')
 CASES = (
     *((model, axis) for model in MODELS for axis in AXES),
     ('calculated_rigid_drive', 'x_rotate'),
+    *(('mathematical', axis) for axis in AXES),
 )
 """All runs, as (model, axis)."""
 

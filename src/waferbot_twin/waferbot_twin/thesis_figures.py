@@ -32,6 +32,7 @@ COLOURS = {
     'flexible': '#1f5fa8',
     'simplified': '#3a9150',
     'calculated': '#a02c5a',
+    'mathematical': '#a02c5a',
 }
 NAMES = {
     'as_built': 'measured (as-built machine)',
@@ -39,6 +40,7 @@ NAMES = {
     'flexible': 'flexible',
     'simplified': 'simplified',
     'calculated': 'flexible, calculated damping',
+    'mathematical': 'mathematical plant, rigid',
 }
 MET_COLOUR, MISSED_COLOUR = '#2c8a3e', '#d0281c'
 
@@ -66,7 +68,8 @@ class Figure:
     @property
     def file(self) -> str:
         """Name of its picture."""
-        return f'figure_{self.number.replace(".", "_")}.png'
+        axis = f'_{self.axis}' if self.number == '4.3' else ''  # one panel for each in the thesis
+        return f'figure_{self.number.replace(".", "_")}{axis}.png'
 
     @property
     def caption(self) -> str:
@@ -93,7 +96,12 @@ def figures() -> list[Figure]:
         return Figure(number, what, axis, models, rows, START_S[axis])
 
     of_initial_peak = 'initial peak'
+    both_plants = ('rigid', 'mathematical')
     return [
+        *(
+            figure('4.3', 'mathematical and multibody plant', axis, both_plants, POSITION)
+            for axis in (y, x, r)
+        ),
         figure('4.4', 'rigid, simulated and measured', y, rigid, RESPONSE),
         Figure(
             '4.5',
@@ -244,7 +252,7 @@ def _draw_row(panel: Axes, row: _Row) -> None:
         else:
             panel.plot(
                 time, values, color=COLOURS[model], lw=1.0, label=NAMES[model],
-                ls='--' if model == 'simplified' else '-',
+                ls='--' if model in ('simplified', 'mathematical') else '-',
                 zorder=2.5 if model == 'as_built' else 2.0,  # a vibration must not hide it
             )  # fmt: skip
     if row.limits is not None:
