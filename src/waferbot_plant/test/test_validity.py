@@ -138,7 +138,8 @@ def test_hot_windings_are_told_and_cold_motors_and_rigid_parts_have_nothing_to_t
     warming = {'motors': {'y_linear': {'heating': {'state': 'warming'}}}}
     machine = load_machine('flexible', overlays=[warming])
     rows = rest(machine)
-    rows[2, -3:] = 160.0
+    first = 2 * (loads.SPRINGS + loads.CABLES)
+    rows[2, first : first + 3] = 160.0
     found = watched(machine, rows)
     assert found['motor y_linear', 'temperature of the windings'].first_tick == 360
     assert ('motor x_rotate', 'temperature of the windings') not in found

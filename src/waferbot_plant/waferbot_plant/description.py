@@ -105,6 +105,14 @@ class Joint:
 
 
 @dataclass(frozen=True)
+class Payload:
+    """The payload (wafer) frame: a point `at` of a body, m, base frame, home pose."""
+
+    body: str
+    at: Vector
+
+
+@dataclass(frozen=True)
 class Rotor:
     """
     An inertia in kg m2 that spins about its own axis.
@@ -404,3 +412,4 @@ class Description:
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
     formulation: str = MULTIBODY
+    payload: Payload | None = None

@@ -7,7 +7,8 @@ What the elastic parts bear: forces of springs, tensions of cables, temperatures
     take(state, parameters, loads, row)   # at a message: writes it, begins anew
 
 `loads` and `row` are float64 (WIDTH,) in the order of the message `PlantState`: least and greatest of
-each spring since the last message (N, Nm), least and greatest of each cable (N), temperatures (degC).
+each spring since the last message (N, Nm), least and greatest of each cable (N), temperatures (degC),
+and the payload frame as it is then (`payload`).
 None of it goes back into the plant.
 """
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant import payload
 from waferbot_plant.elements import cable_elongation
 from waferbot_plant.motors import MOTORS
 from waferbot_plant.spring_laws import force_and_arms_now
@@ -27,13 +29,19 @@ SPRINGS = 24
 CABLES = 4
 """Places in the message; of a larger machine the first so many."""
 
-WIDTH = 2 * SPRINGS + 2 * CABLES + MOTORS
-"""Values of the message."""
-
 _SPRING_MOST = SPRINGS
 _CABLE_LEAST = 2 * SPRINGS
 _CABLE_MOST = _CABLE_LEAST + CABLES
 _TEMPERATURE = _CABLE_MOST + CABLES
+_PAYLOAD = _TEMPERATURE + MOTORS
+WIDTH = _PAYLOAD + payload.WIDTH
+"""Values of the message."""
+
+_EDGES = (
+    *(_SPRING_MOST, _CABLE_LEAST, _CABLE_MOST, _TEMPERATURE, _PAYLOAD),
+    *(_PAYLOAD + place for place in (3, 7, 10, 13, 16, 19)),
+)
+"""Where the fields of the message end, but for the last."""
 
 
 def begin() -> NDArray[np.float64]:
@@ -81,6 +89,7 @@ def take(state, parameters, loads, row):
             row[start + cable] = loads[start + cable]
     for motor in range(MOTORS):
         row[_TEMPERATURE + motor] = state[0]['winding_temperature'][motor]
+    payload.payload_frame(state[0], p, row[_PAYLOAD:])
     _forget(loads)
 
 
@@ -108,7 +117,7 @@ def _forget(loads):
 
 def fields(rows: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return rows (n, WIDTH) as the fields of the message, (n, ...) each."""
-    return np.split(rows, (_SPRING_MOST, _CABLE_LEAST, _CABLE_MOST, _TEMPERATURE), axis=1)
+    return np.split(rows, _EDGES, axis=1)
 
 
 @dataclass(frozen=True)
@@ -129,4 +138,4 @@ class Loads:
     def of_rows(cls, tick: NDArray[np.int64], rows: NDArray[np.float64]) -> Loads:
         """Return the loads in rows (n, WIDTH) that `take` wrote, without those that nobody wrote."""
         written = np.isfinite(rows).all(axis=1)
-        return cls(np.asarray(tick)[written], *fields(rows[written]))
+        return cls(np.asarray(tick)[written], *fields(rows[written])[:5])

@@ -41,6 +41,7 @@ from waferbot_plant import (
     integrator,
     motors,
     multibody,
+    payload,
     room,
     spring_laws,
 )
@@ -257,6 +258,7 @@ class Machine:
             p['lagrangian'] = 1
             p['lagrange'] = mathematical_parameters(description)
         self._fill_mechanism(p)
+        self._fill_payload(p)
         self._fill_elements(p)
         self._fill_disturbances(p)
         for place, axis in enumerate(AXES):
@@ -303,6 +305,20 @@ class Machine:
             p['first_moment'][place] = link.first_moment
             p['inertia'][place] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             p['coordinate'][place], p['ratio'][place] = self._placing(link.freedom.name)
+
+    def _fill_payload(self, p: np.void) -> None:
+        """Write where the payload frame is; a body that stands still has none."""
+        description, links = self.description, self.assembly.links
+        p['payload_axes'] = -1
+        for place, axis in enumerate(AXES):
+            if axis in description.axes:
+                p['payload_axes'][place] = self._placing(description.axes[axis])[0]
+        if description.payload is None:
+            return
+        link = self.assembly.link_of[description.payload.body]
+        if link >= 0:
+            p['payload_link'] = link + 1
+            p['payload_offset'] = description.payload.at - links[link].point
 
     def _fill_elements(self, p: np.void) -> None:
         """Write springs, cables and frictions."""
@@ -425,6 +441,7 @@ def _parameter_dtype(
             *current_sensors.PARAMETER_FIELDS,
             ('axis_coordinate', 'i8', (len(AXES),)),
             ('axis_ratio', 'f8', (len(AXES),)),
+            *payload.PARAMETER_FIELDS,
             ('lagrangian', 'i8'),
             ('lagrange', LAGRANGE_PARAMETERS, (1,)),
             *disturbances.PARAMETER_FIELDS,

@@ -7,12 +7,15 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from waferbot_lockstep.timing import Timing
+from waferbot_plant import payload, plant
 from waferbot_twin.cli.main import main
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.models import load_model
 from waferbot_twin.plan import make_plan
+from waferbot_twin.recording.reader import stream_recording
 from waferbot_twin.validity import Validity, recorded_validity
 
 
@@ -99,3 +102,34 @@ def test_limited_currents_are_told() -> None:
 def test_a_recording_that_tells_nothing_is_no_error(tmp_path) -> None:
     (tmp_path / 'empty.mcap').write_bytes(b'')
     assert recorded_validity(tmp_path) == []
+
+
+def test_warm_windings_and_the_payload_are_recorded_and_drawn(tmp_path) -> None:
+    """What the recording tells is what the plant's state has at those ticks."""
+    description = plant.config_folder() / 'as_built.yaml'
+    file = tmp_path / 'warm.yaml'
+    warming = {'motors': {'x_rotate': {'heating': {'state': 'warming'}}}}
+    file.write_text(yaml.safe_dump({'extends': str(description), **warming}), 'utf-8')
+    model = tmp_path / 'model.yaml'
+    section = {'/**/plant': {'ros__parameters': {'description': str(file)}}}
+    model.write_text(yaml.safe_dump(section), 'utf-8')
+    out = tmp_path / 'run'
+    run = ['run', '--engine', 'inprocess', '--model', str(model), '--experiment', 'step']
+    assert main([*run, '--duration', '0.1', '--out', str(out)]) == 0
+    told: list[np.ndarray] = []
+    stream_recording(out, lambda topic, records: None, None, told.append)
+    records = np.concatenate(told)
+    assert records['tick'].tolist() == list(range(0, 1800, 180))
+    plan = make_plan(str(model), 'step', 0.1)
+    twin = Twin.of(plan.model, plan.timing, plan.experiment)
+    frame = np.zeros(payload.WIDTH)
+    for row in records:
+        payload.payload_frame(twin.plant_state[0], twin.plant_parameters[0], frame)
+        assert row['payload_position'].tolist() == frame[:3].tolist()
+        assert row['payload_error'].tolist() == frame[16:19].tolist()
+        temperature = twin.plant_state[0]['winding_temperature']
+        assert row['winding_temperature'].tolist() == temperature.tolist()
+        twin.advance(180)
+    assert records['winding_temperature'][-1, 1] > 25.0
+    assert np.abs(records['payload_error'][-1]).max() > 1e-9
+    assert main(['plot', str(out)]) == 0

@@ -113,6 +113,7 @@ def mathematical_parameters(description: Description) -> NDArray[np.void]:
         cable=CableGeometry(0.0, 0.0, 0.0, 0.0, 0.0),
         x_rotate_at_m=joints[1].at.tolist(),
         y_rotate_at_m=joints[2].at.tolist(),
+        payload_origin_m=None if description.payload is None else description.payload.at.tolist(),
         gravity_m_s2=-float(description.gravity[1]),
     )
 
