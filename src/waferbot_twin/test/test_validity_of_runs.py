@@ -133,3 +133,11 @@ def test_warm_windings_and_the_payload_are_recorded_and_drawn(tmp_path) -> None:
     assert records['winding_temperature'][-1, 1] > 25.0
     assert np.abs(records['payload_error'][-1]).max() > 1e-9
     assert main(['plot', str(out)]) == 0
+
+
+def test_a_run_in_a_script_has_them() -> None:
+    import waferbot
+
+    run = waferbot.simulate(waferbot.load_model('as_built'), 'wafer_exchange', 1.0)
+    assert any(line.startswith('belt: tension of the slack span -') for line in run.departures)
+    assert waferbot.simulate(waferbot.load_model('rigid'), 'constant', 0.1).departures == ()
