@@ -20,7 +20,10 @@ from waferbot_twin.recording.reader import recording_file
 
 def standard_messages(recording):
     """Return the bytes of all messages on the standard topics, in order."""
-    names, found = {}, {'/clock': [], '/joint_states': [], '/robot_description': []}
+    names, found = (
+        {},
+        {topic: [] for topic in ('/clock', '/joint_states', '/plant_state', '/robot_description')},
+    )
     with recording_file(recording.path).open('rb') as stream:
         for record in StreamReader(stream).records:
             if type(record).__name__ == 'Channel':
@@ -50,7 +53,7 @@ def test_step_over_ros_is_bit_identical_to_the_loop_without_ros(recorded, engine
 @pytest.mark.parametrize('engine', ['ros', 'composed'])
 def test_standard_messages_are_the_same_bytes(recorded, engine):
     one, other = standard_messages(recorded(engine)), standard_messages(recorded('inprocess'))
-    assert len(one['/clock']) == len(one['/joint_states']) == 50
+    assert len(one['/clock']) == len(one['/joint_states']) == len(one['/plant_state']) == 50
     ((stamp, description),) = one['/robot_description']
     assert stamp == 0
     assert b'<robot name="waferbot">' in description

@@ -85,6 +85,12 @@ REPORT_TOPICS = (SERVO_STATE, AMPLIFIER_STATE)
 
 CONTRACT_TOPICS = LOCKSTEP_TOPICS + REPORT_TOPICS
 
+PLANT_STATE = ('plant_state', 'waferbot_msgs/msg/PlantState')
+"""
+Name and type of the topic on which the plant tells what its parts bear, 100 Hz, and no sensor shows.
+It is recorded, but not counted: a plant that is somebody else's, or a machine, has nothing to say there.
+"""
+
 RECORDED_TOPIC = 'recorded'
 """Topic on which a recorder says how far it has come (`waferbot_msgs/msg/Recorded`)."""
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import copy
 
+import numpy as np
 import plant_machines as machines
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_plant import motors
+from waferbot_plant import motors, plant
 from waferbot_plant.description_file import load_description
+from waferbot_plant.plant import load_machine
 
 
 def sound() -> dict:
@@ -143,3 +145,30 @@ def test_no_voltages_on_a_motor_without_windings() -> None:
     with pytest.raises(UserError, match='y_linear is known by its force per ampere alone'):
         motors.check_windings(load_description(machines.write(by_force())))
     motors.check_windings(load_description(machines.write(sound())))
+
+
+def test_viscous_damping_of_a_motor_is_a_damper_on_its_coordinate() -> None:
+    """Chapter 5 of the thesis has it on the rotary axes; at the motor's shaft, before the gearbox."""
+    motors = {
+        'x_rotate': {'viscous_damping_nm_s_rad': 0.3},
+        'y_rotate': {'viscous_damping_nm_s_rad': 2e-4},
+    }
+    machine = load_machine('rigid', overlays=[{'motors': motors}])
+    dampers = machine.description.dampers
+    assert {name: (one.coordinate, one.damping) for name, one in dampers.items()} == {
+        'x_rotate_motor_viscous': ('x_rotate', 0.3),
+        'y_rotate_motor_viscous': ('y_rotate_motor', 2e-4),
+    }
+    ratio = 1.0 / abs(machine.description.transmissions['y_rotate_drive'].ratio)
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    parameters[0]['gravity'] = 0.0
+    state[0]['terminals_open'] = 1
+    state[0]['velocity'][:3] = 0.0, 0.0, 1.0
+    plant.advance(state, parameters, np.zeros(9))
+    speed = 0.5 * (1.0 + state[0]['velocity'][2])
+    place = [element.name for element in machine.assembly.springs].index('y_rotate_motor_viscous')
+    power = state[0]['spring_loss'][place] / machine.timing.tick_s
+    assert power == pytest.approx(2e-4 * (ratio * speed) ** 2, rel=1e-6)
+    with pytest.raises(UserError, match='viscous_damping_n_s_m'):
+        load_machine('rigid', overlays=[{'motors': {'x_rotate': {'viscous_damping_n_s_m': 1.0}}}])

@@ -41,3 +41,30 @@ def test_node_stops_with_axis_and_tick_when_the_plant_blew_up(node) -> None:
     node.begin()
     assert 'blew up by tick 0' in node.outcome
     assert 'axis x_rotate' in node.outcome
+
+
+@pytest.mark.slow
+def test_diagnostics_warn_of_a_belt_that_is_slack(monkeypatch: pytest.MonkeyPatch) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from waferbot_plant.node import PlantNode
+
+    monkeypatch.setenv('ROS_DOMAIN_ID', '87')
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    rclpy.init()
+    overrides = [rclpy.parameter.Parameter('description', value='flexible')]
+    plant_node = PlantNode(parameter_overrides=overrides)
+    try:
+        plant_node.begin()
+        assert plant_node.diagnostics()[1] == []
+        machine, state = plant_node._machine, plant_node._model_state
+        row, ratio = machine.assembly.placing['y_rotate']
+        state[0]['position'][row] += 0.2 / ratio  # the motor stands: 0.2 rad is far beyond 2 F_pre
+        plant_node._publish_slow_topics(180)
+        ((level, text), *_) = plant_node.diagnostics()[1]
+        assert level == DiagnosticStatus.WARN
+        assert text.startswith('belt: tension of the slack span -')
+        assert 'at 0.010 s' in text
+    finally:
+        plant_node.destroy_node()
+        rclpy.try_shutdown()

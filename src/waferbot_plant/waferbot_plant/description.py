@@ -52,6 +52,10 @@ BASE = 'base'
 DAMPING = ('calculated', 'improved')
 """The two sets of loss factors and friction; see the thesis, chapter 6."""
 
+MULTIBODY, LAGRANGE = 'multibody', 'lagrange'
+FORMULATIONS = (MULTIBODY, LAGRANGE)
+"""By which equations a machine moves: recursion over its tree, or those of the thesis' Appendix B."""
+
 STATES = ('rigid', 'flexible')
 """What a connection can be."""
 
@@ -98,6 +102,14 @@ class Joint:
     child: str
     at: Vector
     freedoms: tuple[Freedom, ...]
+
+
+@dataclass(frozen=True)
+class Payload:
+    """The payload (wafer) frame: a point `at` of a body, m, base frame, home pose."""
+
+    body: str
+    at: Vector
 
 
 @dataclass(frozen=True)
@@ -162,7 +174,8 @@ class Connection:
     One that is not `flexible` is rigid. The rest is what makes it more than a linear spring, in its
     own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2 or 1/rad2, `slip` in N
     or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m beyond home, and
-    `rope_mass` in kg. None: never.
+    `rope_mass` in kg. None: never. `part` is the part that the stiffness is of, `direction` that of a
+    bearing or shaft; None where the stiffness is given.
     """
 
     name: str
@@ -178,6 +191,8 @@ class Connection:
     slack_preload: float | None = None
     slack: float = 0.0
     rope_mass: float = 0.0
+    part: Any = None
+    direction: str = ''
 
 
 @dataclass(frozen=True)
@@ -252,7 +267,7 @@ class Heating:
 
     `to_air` in K/W, `capacity` in J/K, `air` and, of the windings, `start` in degC; the data sheet's
     winding resistance holds at `resistance_at` (degC) and rises by `coefficient` (1/K) of it. Copper
-    has 0.00393 at 20 degC.
+    has 0.00393 at 20 degC. `limit` (degC) is what the insulation bears, if that is known.
     """
 
     to_air: float
@@ -261,6 +276,7 @@ class Heating:
     resistance_at: float
     coefficient: float
     start: float
+    limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -395,3 +411,5 @@ class Description:
     parts: Mapping[str, Any]
     revolute: Mapping[str, bool]
     provenance: Mapping[str, str]
+    formulation: str = MULTIBODY
+    payload: Payload | None = None

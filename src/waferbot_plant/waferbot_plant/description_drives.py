@@ -117,6 +117,7 @@ def _heating(reader: Reader, axis: str) -> Heating | None:
         resistance_at=float(value['resistance_at_degc']),
         coefficient=float(value['resistance_rise_1_k']),
         start=float(value.get('winding_start_degc', value['air_degc'])),
+        limit=value.get('winding_limit_degc'),
     )
 
 

@@ -16,6 +16,7 @@ from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import imperfections, part_library
 from waferbot_plant.description import (
     BASE,
+    MULTIBODY,
     Body,
     Connection,
     Damper,
@@ -23,6 +24,7 @@ from waferbot_plant.description import (
     Freedom,
     Friction,
     Joint,
+    Payload,
     Rotor,
     Stage,
     Transmission,
@@ -92,6 +94,8 @@ class Reader:
             name=self.data['name'],
             gravity=np.array(self.data.get('gravity_m_s2', [0.0, -9.81, 0.0]), float),
             substeps=int(self.data.get('substeps', 1)),
+            formulation=str(self.data.get('formulation', MULTIBODY)),
+            payload=self.payload(),
             encoder_delay=int(feedback.get('delay_cycles', 1)),
             bodies=self.bodies,
             joints=self.joints,
@@ -164,6 +168,14 @@ class Reader:
         return Body(
             name, float(value['mass_kg']), np.array(value['centre_of_gravity_m'], float), inertia
         )
+
+    def payload(self) -> Payload | None:
+        """Read where the payload frame is."""
+        value = self.data.get('payload')
+        if value is None:
+            return None
+        self.reference(('payload', 'body'), value['body'], self.bodies, 'body')
+        return Payload(value['body'], np.array(value['at_m'], float))
 
     def joint(self, name: str) -> Joint:
         """Read a joint with its freedoms."""
@@ -360,7 +372,18 @@ class Reader:
         law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
-            return Connection(name, flexible, rotary, stiffness, None, loss, free, **law)
+            return Connection(
+                name,
+                flexible,
+                rotary,
+                stiffness,
+                None,
+                loss,
+                free,
+                **law,
+                part=self.part(key, value),
+                direction=value.get('direction', ''),
+            )
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
         if ('loss_factor' in value) == any(damping in value for damping in names):
@@ -440,7 +463,24 @@ class Reader:
             )
             if found.viscous_nm_s_per_rad > 0.0:
                 dampers[name] = Damper(name, coordinate, factor * found.viscous_nm_s_per_rad)
-        return frictions, dampers
+        return frictions, {**dampers, **self.motor_dampers(dampers)}
+
+    def motor_dampers(self, others: Mapping[str, Damper]) -> dict[str, Damper]:
+        """Return the viscous damping of the motors' own bearings and iron, from their data sheets."""
+        found = {}
+        for axis, value in self.section('motors').items():
+            key: Key = ('motors', axis)
+            coordinate, revolute = self.coordinate(key, value)
+            names = ('viscous_damping_n_s_m', 'viscous_damping_nm_s_rad')
+            if not any(name in value for name in names):
+                continue
+            damping = float(self.quantity(key, revolute, *names))
+            name = f'{axis}_motor_viscous'
+            if name in others:
+                raise self.document.error(key, f'a damper {name} is there already')
+            if damping > 0.0:
+                found[name] = Damper(name, coordinate, damping)
+        return found
 
     def friction_of_part(self, key: Key, value: dict[str, Any]) -> part_library.SpeedFriction:
         """Return the friction that a part makes."""

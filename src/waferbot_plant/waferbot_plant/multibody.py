@@ -96,24 +96,12 @@ def mass_matrix_and_bias(s, p, position, velocity):
     `s` and `p` are records with the fields above. `mass_matrix` (n, n) is filled in its lower
     triangle; h has the sign of a force on the left-hand side: holding still takes the force h.
     """
-    rotation = s['rotation']
-    point = s['point']
     motion = s['motion']
-    twist = s['twist']
-    drift = s['drift']
     wrench = s['wrench']
     composite = s['composite']
     links = p['links']
 
-    for row in range(9):
-        rotation[0, row] = 0.0
-    rotation[0, 0] = rotation[0, 4] = rotation[0, 8] = 1.0
-    for row in range(3):
-        point[0, row] = 0.0
-        twist[0, row] = twist[0, row + 3] = 0.0
-        drift[0, row] = 0.0
-        drift[0, row + 3] = -p['gravity'][row]
-
+    _place_base(s, p)
     for link in range(links):
         _place_link(s, p, link, position, velocity)
         _weigh_link(s, p, link)
@@ -184,6 +172,32 @@ def mass_matrix_and_bias(s, p, position, velocity):
             else:
                 mass_matrix[max(row, column), min(row, column)] += entry
             above = p['parent'][above - 1]
+
+
+@compiled
+def place_links(s, p, position, velocity):
+    """
+    Set pose, axis, twist and velocity-product acceleration of all links, gravity taken as the base's.
+
+    Uses the workspace that `mass_matrix_and_bias` uses, which fills it anew.
+    """
+    _place_base(s, p)
+    for link in range(p['links']):
+        _place_link(s, p, link, position, velocity)
+
+
+@compiled
+def _place_base(s, p):
+    """Set the base, which stands still and accelerates against gravity."""
+    rotation = s['rotation']
+    for row in range(9):
+        rotation[0, row] = 0.0
+    rotation[0, 0] = rotation[0, 4] = rotation[0, 8] = 1.0
+    for row in range(3):
+        s['point'][0, row] = 0.0
+        s['twist'][0, row] = s['twist'][0, row + 3] = 0.0
+        s['drift'][0, row] = 0.0
+        s['drift'][0, row + 3] = -p['gravity'][row]
 
 
 @compiled

@@ -34,6 +34,7 @@ from waferbot_lockstep.contract import (
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
+    PLANT_STATE,
     RECORDED_TOPIC,
     SLOW_DIVIDER,
     Topic,
@@ -57,13 +58,15 @@ from waferbot_lockstep.standard_messages import (
     joint_state_message,
     string_message,
 )
-from waferbot_msgs.msg import Recorded
-from waferbot_plant import plant
+from waferbot_lockstep.wire import WireFormat
+from waferbot_msgs.msg import PlantState, Recorded
+from waferbot_plant import loads, plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.node_settings import PLANT_SETTINGS
 from waferbot_plant.pace import LONGEST_LAG_S, Pace
 from waferbot_plant.simulation_services import offer_simulation_services
 from waferbot_plant.urdf import urdf
+from waferbot_plant.validity import Watch
 
 UNWATCHED_TICKS = 8
 """In real time, ticks that may be taken at once when there are no voltages to wait for."""
@@ -108,11 +111,16 @@ class PlantNode(LockstepNode):
         self._line_currents = np.zeros(2 * len(AXES))
         self._position = np.zeros(len(AXES))
         self._velocity = np.zeros(len(AXES))
+        self._loads = loads.begin()
+        self._borne = np.zeros(loads.WIDTH)
+        self._watch = Watch(machine)
+        self._plant_state = WireFormat(PLANT_STATE[1])
         self._due = False
         self._measured_s = 0.0
         self._warm_up(machine)
         self._clock_outlet = self._slow_outlet(ClockMessage, CLOCK[0])
         self._joint_outlet = self._slow_outlet(JointState, JOINT_STATES[0])
+        self._plant_state_outlet = self._slow_outlet(PlantState, PLANT_STATE[0])
         self._description_publisher = self.create_publisher(
             String, ROBOT_DESCRIPTION[0], latched_qos()
         )
@@ -231,6 +239,8 @@ class PlantNode(LockstepNode):
         )
         if tick % SLOW_DIVIDER == 0:
             self._publish_slow_topics(tick)
+        if tick % self.timing.servo_divider == 0:
+            loads.note(self._model_state, self._model_parameters, self._loads)
         if tick % self.timing.encoder_divider == 0:
             self.give(ENCODERS_TOPIC, tick, ALL_ENCODERS, self._counts.tolist())
         self.give(PHASE_CURRENTS, tick, ALL_AXES, self._line_currents.tolist())
@@ -249,6 +259,12 @@ class PlantNode(LockstepNode):
                 self._position.tolist(),
                 self._velocity.tolist(),
             ),
+        )
+        loads.take(self._model_state, self._model_parameters, self._loads, self._borne)
+        self._watch.note(loads.Loads.of_rows(np.array([tick]), self._borne[np.newaxis]))
+        self.publish(
+            self._plant_state_outlet,
+            self._plant_state.encode(tick, stamp_ns, ALL_AXES, self._borne.tolist()),
         )
 
     # ---- who has time go on ----------------------------------------------------------------------
@@ -297,6 +313,8 @@ class PlantNode(LockstepNode):
         self._pace.stop()
         self._tick = 0
         self._model_state[:] = self._machine.resting_state(self._model_parameters)
+        self._loads[:] = loads.begin()
+        self._watch.forget()
         self.inboxes[PHASE_VOLTAGES].forget()
         self._measure()
         return ''
@@ -328,23 +346,27 @@ class PlantNode(LockstepNode):
             )
 
     def diagnostics(self) -> tuple[dict[str, str], list[Trouble]]:
-        """Tell how sim time goes against the wall clock."""
+        """Tell how sim time goes against the wall clock, and where the model's range was left."""
         values = {'paused': str(self._paused)}
+        departures = [
+            (DiagnosticStatus.WARN, found.text(self.timing)) for found in self._watch.departures()
+        ]
         if self.timekeeping != REALTIME:
-            return values, []
+            return values, departures
         rate = self._pace.rate(time.monotonic())
         values['realtime factor'] = '' if rate is None else f'{rate:.3f}'
         values['realtime factor asked for'] = f'{self._pace.factor:g}'
         values['worst lag [ms]'] = f'{1e3 * self._pace.worst_lag_s:.3g}'
         values['wall time written off [s]'] = f'{self._pace.written_off_s:.3f}'
         if rate is None or rate >= SLOW * self._pace.factor:
-            return values, []
+            return values, departures
         return values, [
+            *departures,
             (
                 DiagnosticStatus.WARN,
                 f'{rate:.2g} x real time, {self._pace.factor:g} x asked for: the machine is too slow '
                 f'for {self.timing.current_loop_hz / 1000:g} kHz over these processes',
-            )
+            ),
         ]
 
     def _warm_up(self, machine: Any) -> None:
@@ -356,6 +378,8 @@ class PlantNode(LockstepNode):
         plant.advance(state, self._model_parameters, np.zeros(3 * len(AXES)))
         plant.joint_positions(state, self._model_parameters, self._position, self._velocity)
         plant.runaway(state)
+        borne = loads.begin()
+        loads.take(state, self._model_parameters, borne, np.zeros(loads.WIDTH))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

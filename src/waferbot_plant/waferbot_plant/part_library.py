@@ -97,11 +97,14 @@ def _build(document: Document, key: Key, kind: type, data: Any) -> Any:
     for name in data:
         if name not in types:
             raise document.error((*key, name), f'unknown key{did_you_mean(name, types)}')
-    missing = [name for name in types if name not in data]
+    optional = {field.name for field in dataclasses.fields(kind) if field.default is None}
+    missing = [name for name in types if name not in data and name not in optional]
     if missing:
         raise document.error(key, f'{" and ".join(missing)} missing')
     values = {}
     for name, inner in types.items():
+        if name not in data:
+            continue
         value = data[name]
         if dataclasses.is_dataclass(inner):
             values[name] = _build(document, (*key, name), typing.cast(type, inner), value)

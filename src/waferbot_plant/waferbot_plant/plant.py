@@ -41,12 +41,16 @@ from waferbot_plant import (
     integrator,
     motors,
     multibody,
+    payload,
     room,
     spring_laws,
 )
 from waferbot_plant.assembly import Assembly, Element, assemble
-from waferbot_plant.description import Description
+from waferbot_plant.description import LAGRANGE, Description
 from waferbot_plant.description_file import load_description
+from waferbot_plant.lagrange.closed_loop import advance_lagrange
+from waferbot_plant.lagrange.from_description import check_lagrange, mathematical_parameters
+from waferbot_plant.lagrange.parameters import PARAMETERS as LAGRANGE_PARAMETERS
 
 ABSURD = 1e5
 """A position (m, rad) or speed (m/s, rad/s) above this is a simulation that blew up."""
@@ -96,6 +100,10 @@ def advance(state, parameters, voltage):
         find_imperfections(s, p)
     if p['disturbances'] > 0:
         disturbances.draw_noise(s, p)
+    if p['lagrangian']:
+        for _ in range(p['substeps']):
+            advance_lagrange(s, p, voltage, p['step'])
+        return
     for _ in range(p['substeps']):
         integrator.advance_step(s, p, voltage, p['step'])
 
@@ -245,7 +253,12 @@ class Machine:
         p['step'] = self.timing.tick_s / description.substeps
         for part, number in self.in_use.items():
             p[part] = number
+        if description.formulation == LAGRANGE:
+            check_lagrange(description, self.coordinates)
+            p['lagrangian'] = 1
+            p['lagrange'] = mathematical_parameters(description)
         self._fill_mechanism(p)
+        self._fill_payload(p)
         self._fill_elements(p)
         self._fill_disturbances(p)
         for place, axis in enumerate(AXES):
@@ -292,6 +305,20 @@ class Machine:
             p['first_moment'][place] = link.first_moment
             p['inertia'][place] = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             p['coordinate'][place], p['ratio'][place] = self._placing(link.freedom.name)
+
+    def _fill_payload(self, p: np.void) -> None:
+        """Write where the payload frame is; a body that stands still has none."""
+        description, links = self.description, self.assembly.links
+        p['payload_axes'] = -1
+        for place, axis in enumerate(AXES):
+            if axis in description.axes:
+                p['payload_axes'][place] = self._placing(description.axes[axis])[0]
+        if description.payload is None:
+            return
+        link = self.assembly.link_of[description.payload.body]
+        if link >= 0:
+            p['payload_link'] = link + 1
+            p['payload_offset'] = description.payload.at - links[link].point
 
     def _fill_elements(self, p: np.void) -> None:
         """Write springs, cables and frictions."""
@@ -414,6 +441,9 @@ def _parameter_dtype(
             *current_sensors.PARAMETER_FIELDS,
             ('axis_coordinate', 'i8', (len(AXES),)),
             ('axis_ratio', 'f8', (len(AXES),)),
+            *payload.PARAMETER_FIELDS,
+            ('lagrangian', 'i8'),
+            ('lagrange', LAGRANGE_PARAMETERS, (1,)),
             *disturbances.PARAMETER_FIELDS,
         ],
         align=True,

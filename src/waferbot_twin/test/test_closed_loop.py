@@ -12,7 +12,7 @@ from waferbot_twin.calibration.evaluation import servo_record
 from waferbot_twin.calibration.values import calibrated
 from waferbot_twin.closed_loop import fastest_growth, loop_modes
 from waferbot_twin.engines.inprocess import Twin
-from waferbot_twin.tables import step_plan
+from waferbot_twin.step_runs import step_plan
 
 TIMING = Timing()
 

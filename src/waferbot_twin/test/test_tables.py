@@ -8,15 +8,19 @@ What is demanded: rigid columns within 5 % (overshoot 2 points), flexible and me
 
 from __future__ import annotations
 
+import html
 import json
 
 import pytest
 
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.cli.main import main
-from waferbot_twin.report import figures, write_report
-from waferbot_twin.tables import Row, Runs, Table, all_tables, difference_table
+from waferbot_twin.report import write_report
+from waferbot_twin.statements import findings
+from waferbot_twin.step_runs import Runs
+from waferbot_twin.tables import Row, Table, all_tables, difference_table
 from waferbot_twin.thesis import known_deviations, printed, rows, thesis, tolerance
+from waferbot_twin.thesis_figures import figures
 
 COLUMN_OF = {'rigid': 'rigid', 'flexible': 'flexible', 'as_built': 'measured'}
 MODEL_OF = {column: model for model, column in COLUMN_OF.items()}
@@ -132,22 +136,39 @@ def test_known_deviations_name_rows() -> None:
 
 def test_report(tmp_path, tables: list[Table], runs: Runs) -> None:
     (tmp_path / 'report').mkdir()
-    write_report(tmp_path / 'report', tables, runs, 'waferbot tables')
+    said = findings(runs)
+    write_report(tmp_path / 'report', tables, said, runs, 'waferbot tables')
     page = (tmp_path / 'report' / 'index.html').read_text('utf-8')
     for figure in figures():
-        assert f'src="{figure.name}.png"' in page
-        assert (tmp_path / 'report' / f'{figure.name}.png').stat().st_size > 10_000
+        assert f'src="{figure.file}"' in page
+        assert (tmp_path / 'report' / figure.file).stat().st_size > 10_000
     assert page.count('<table>') == len(tables)
+    assert page.count('<tr class="missed">') == sum(not finding.met for finding in said) + sum(
+        row.met is False for table in tables for row in table.rows
+    )
+    for finding in said:
+        assert html.escape(finding.statement.says) in page
     for entry in known_deviations().values():
         assert entry['reason'].split('<')[0][:40] in page
 
 
+def test_every_figure_of_a_statement_is_drawn_or_has_no_curve() -> None:
+    drawn = {figure.number for figure in figures()}
+    assert {f'4.{place}' for place in range(3, 11)} <= drawn
+    assert {f'6.{place}' for place in range(1, 20)} <= drawn
+
+
 def test_tables_command(capsys, monkeypatch, runs: Runs) -> None:
-    """The command prints every table; the runs are those made above."""
-    monkeypatch.setattr('waferbot_twin.tables.Runs', lambda progress: runs)
+    """The command prints every table and statement; the runs are those made above."""
+    monkeypatch.setattr('waferbot_twin.step_runs.Runs', lambda progress: runs)
     assert main(['tables']) == 0
     printed_text = capsys.readouterr().out
     assert 'Table 6.7' in printed_text
     assert 'rows met' in printed_text
     for key, entry in known_deviations().items():
         assert entry['reason'][:60] in printed_text, key
+    said = findings(runs)
+    for finding in said:
+        line = f'{"yes" if finding.met else "no "}  {finding.statement.says}: '
+        assert line in printed_text
+    assert f'{sum(finding.met for finding in said)} of {len(said)} statements met' in printed_text

@@ -14,10 +14,11 @@ from waferbot.model import Model
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.engines.inprocess import CHUNK_TICKS, Twin
+from waferbot_twin.engines.inprocess import CHUNK_TICKS, Signals, Twin
 from waferbot_twin.engines.inprocess import run as run_and_record
 from waferbot_twin.plan import Plan
 from waferbot_twin.response import simulated_responses
+from waferbot_twin.validity import Validity
 
 
 @dataclass(frozen=True)
@@ -28,13 +29,15 @@ class Run:
     `signals` has one row for each servo cycle, indexed by the time in s, and for each axis the columns
     `AXIS_commanded_U`, `AXIS_position_U` (what its encoder counted), `AXIS_following_error_U`, U = m or
     rad, `AXIS_current_command_a` and `AXIS_current_a` (the part of the measured current that makes
-    force).
+    force). `departures` says, a line each, where the run left the range in which the model is valid:
+    place, amount and times.
     """
 
     model: Model
     experiment: str
     signals: pd.DataFrame = field(repr=False)
     plan: Plan = field(repr=False)
+    departures: tuple[str, ...] = ()
 
     def to_dataframe(self) -> pd.DataFrame:
         """Return a copy of `signals`."""
@@ -74,19 +77,22 @@ def simulate(
     ticks = max(1, timing.ticks(loaded.duration_s if duration_s is None else duration_s))
     plan = Plan(model.variant.model(), loaded, ticks, timing)
     twin = Twin.of(plan.model, timing, loaded)
+    validity = Validity(plan.model, timing, twin.machine)
     pieces = []
     while twin.tick < ticks:
-        pieces.append(_signals(model, twin, min(CHUNK_TICKS, ticks - twin.tick)))
+        signals = twin.advance(min(CHUNK_TICKS, ticks - twin.tick))
+        signals.note_validity(validity)
+        pieces.append(_table(model, twin, signals))
         if progress is not None:
             progress(twin.tick, ticks)
-    return Run(model, loaded.name, pd.concat(pieces), plan)
+    return Run(model, loaded.name, pd.concat(pieces), plan, validity.departures())
 
 
-def _signals(model: Model, twin: Twin, ticks: int) -> pd.DataFrame:
-    """Run the next ticks; return their signals at the servo cycles."""
+def _table(model: Model, twin: Twin, signals: Signals) -> pd.DataFrame:
+    """Return signals of a twin at the servo cycles."""
     columns: dict[str, np.ndarray] = {}
     time_s = np.zeros(0)
-    for axis in simulated_responses(twin, twin.advance(ticks)):
+    for axis in simulated_responses(twin, signals):
         time_s = axis.servo_time
         if axis.axis not in model.axes:
             continue

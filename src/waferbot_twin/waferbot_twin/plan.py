@@ -62,10 +62,12 @@ class Outcome:
     What came of a run: the recorder's closing line, and how long the loop took.
 
     `loop_s` is wall time from the first tick to the last, without start-up, compiling and closing.
+    `departures` says where the run left the range of its model, see `validity`.
     """
 
     recorder: str
     loop_s: float
+    departures: tuple[str, ...] = ()
 
 
 def make_plan(model: str, experiment: str, duration_s: float | None = None, seed: int = 0) -> Plan:

@@ -1,9 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a recording: position, following error and current of each axis."""
+"""
+Pictures of a recording: position, following error and current of each axis.
+
+Of a run also what no sensor shows: by how much the payload frame is off its place because parts give,
+how much it is tilted, and how warm the windings are.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -12,15 +19,19 @@ matplotlib.use('Agg')
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from waferbot_lockstep.contract import AXES
 from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.recording.reader import Progress, header_of
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
 from waferbot_twin.thinning import thinned
+from waferbot_twin.validity import OUTSIDE, recorded_validity
 
 TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 COMMAND_COLOUR, MEASURED_COLOUR, ERROR_COLOUR = '#999999', '#1f5fa8', '#b5401f'
+DIRECTION_COLOURS = ('#b5401f', '#3a9150', '#1f5fa8')
 MOST_DRAWN = 4000
 """Samples of a line, an envelope if there are more: eight for each column of a panel."""
 
@@ -45,19 +56,70 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
     Of each signal the least and the greatest sample of every stretch are drawn, several for a column of
     the picture: what ten minutes look like, without drawing ten million samples.
     """
-    responses = load_responses(path, progress)
-    run = header_of(path).run
+    told: list[np.ndarray] = []
+    responses = load_responses(path, progress, told.append)
+    header = header_of(path)
+    run = header.run
+    rows = 4 if told else 3
     figure, panels = plt.subplots(
-        3, len(responses), figsize=(4.6 * len(responses), 8.0), sharex='col', squeeze=False
+        rows,
+        len(responses),
+        figsize=(4.6 * len(responses), 8.0 * rows / 3.0),
+        sharex='col',
+        squeeze=False,
     )
     for column, response in enumerate(responses):
         _draw_position(panels[0][column], response)
         _draw_error(panels[1][column], response)
         _draw_current(panels[2][column], response)
-        panels[2][column].set_xlabel('time [s]')
+    if told:
+        _draw_plant_state(panels[3], np.concatenate(told), header.timing.current_loop_hz)
+    for panel in panels[-1]:
+        panel.set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
     set_title(figure, f'{path.name}: {title}')
+    _tell_departures(figure, [row for row in recorded_validity(path) if row['outside']])
     save_drawing(figure, file)
+
+
+def _tell_departures(figure: Figure, departures: list[dict[str, Any]]) -> None:
+    """Write below all panels where the run left the range of its model."""
+    if not departures:
+        return
+    lines = [f'{OUTSIDE}:', *(f'{row["place"]}: {_amount(row)}' for row in departures)]
+    height = 0.16 * (len(lines) + 1)
+    share = height / (figure.get_figheight() + height)
+    figure.set_figheight(figure.get_figheight() + height)
+    figure.tight_layout(rect=(0.0, share, 1.0, 0.97))
+    figure.text(
+        0.01, 0.5 * share, '\n'.join(lines), fontsize=8, color=ERROR_COLOUR, va='center', ha='left'
+    )
+
+
+def _amount(row: dict[str, Any]) -> str:
+    return f'{row["what"]} {row["worst"]:.4g} {row["unit"]} at {row["worst_s"]:.3f} s ({row["limits"]})'
+
+
+def _draw_plant_state(panels: Sequence[Axes], told: np.ndarray, tick_hz: float) -> None:
+    """Draw error and tilt of the payload, and the temperatures of the windings."""
+    time_s = told['tick'] / tick_hz
+    for panel, name, unit, what in (
+        (panels[0], 'payload_error', 'm', 'payload, error from flexibility'),
+        (panels[1], 'payload_tilt', 'rad', 'payload, tilt'),
+    ):
+        factor, scaled = scaled_unit(told[name], unit)
+        for place, label in enumerate('xyz'):
+            _line(
+                panel, time_s, told[name][:, place] * factor, DIRECTION_COLOURS[place], label, 1.0
+            )
+        panel.set_ylabel(f'{what} [{scaled}]')
+    for place, axis in enumerate(AXES):
+        values = told['winding_temperature'][:, place]
+        _line(panels[2], time_s, values, DIRECTION_COLOURS[place], TITLES[axis], 1.0)
+    panels[2].set_ylabel('windings [degC]')
+    for panel in panels:
+        panel.legend(loc='upper right', fontsize=8)
+        panel.grid(alpha=0.3)
 
 
 def _draw_position(panel: Axes, response: AxisResponse) -> None:

@@ -33,6 +33,7 @@ from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.completeness import close_complete, reported
 from waferbot_twin.recording.recorder import Recorder
 from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.validity import OUTSIDE, Validity
 
 QUIET_S = 0.5
 """Wall time without anything new, after which no more is on its way."""
@@ -67,11 +68,13 @@ def record(options: argparse.Namespace, arguments: Sequence[str]) -> str:
             RecordingWriter(options.out, attachments, options.force, live=True)
         )
         lockstep = options.timekeeping != REALTIME
+        validity = Validity(plan.model, plan.timing)
         recorder = Recorder(
             writer,
             plan.timing,
             reported(without),
             clock_needed=lockstep and 'plant' not in without,
+            validity=validity,
         )
         stack.callback(recorder.destroy_node)
         executor = make_executor()
@@ -90,7 +93,11 @@ def record(options: argparse.Namespace, arguments: Sequence[str]) -> str:
         stopped = '' if recorder.interrupted else recorder.stop_reason
         reasons = (recorder.failures.reason(), recorder.failure, stopped)
         failure = '; '.join(reason for reason in reasons if reason)
-        return close_complete(writer, recorder.account, recorder.account.reached(), failure)
+        for line in validity.departures():
+            print(f'{OUTSIDE}: {line}')
+        return close_complete(
+            writer, recorder.account, recorder.account.reached(), failure, validity.told()
+        )
 
 
 def _drain(recorder: Recorder, executor: object) -> None:

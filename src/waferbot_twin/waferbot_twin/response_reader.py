@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import ClassVar
 
@@ -39,9 +39,15 @@ MOST_CURRENTS = 1 << 17
 """Samples of each current that are kept: 7 s of a recording are kept whole."""
 
 
-def load_responses(path: Path, progress: Progress | None = None) -> list[AxisResponse]:
+def load_responses(
+    path: Path,
+    progress: Progress | None = None,
+    take_plant_state: Callable[[np.ndarray], None] | None = None,
+) -> list[AxisResponse]:
     """
     Return the axes of a recording or of an imported log.
+
+    Of a recording also what the plant told of itself, some messages at a time, to `take_plant_state`.
 
     A recording is read piece by piece, and of the currents only `MOST_CURRENTS` samples are kept, the
     least and the greatest of each stretch: five minutes take half a gigabyte. Raises `UserError`.
@@ -55,7 +61,7 @@ def load_responses(path: Path, progress: Progress | None = None) -> list[AxisRes
             f'was measured, bring it in first: waferbot import {path} --model M --out DIR'
         )
     gathered = _Gathered(header, MOST_CURRENTS)
-    return gathered.responses(stream_recording(path, gathered.take, progress))
+    return gathered.responses(stream_recording(path, gathered.take, progress, take_plant_state))
 
 
 def axis_responses(recording: Recording) -> list[AxisResponse]:

@@ -9,10 +9,7 @@ on `flexible` with the calculated damping.
 
 from __future__ import annotations
 
-import copy
 import math
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
@@ -20,13 +17,7 @@ from typing import Any
 from waferbot_lockstep.contract import AXES
 from waferbot_plant.modes import first_frequencies
 from waferbot_plant.plant import load_machine
-from waferbot_twin.engines.inprocess import Runaway, Twin
-from waferbot_twin.metrics import (
-    FIGURES,
-    StepMetrics,
-    percent_difference,
-    performance_improvement,
-)
+from waferbot_twin.metrics import FIGURES, percent_difference, performance_improvement
 from waferbot_twin.oscillation import (
     BLOWN_UP,
     HIGHER_BAND_HZ,
@@ -34,29 +25,13 @@ from waferbot_twin.oscillation import (
     late_oscillation,
     vibration_amplitude,
 )
-from waferbot_twin.plan import Plan, make_plan
-from waferbot_twin.response import AxisResponse, rms_difference, simulated_responses
+from waferbot_twin.step_runs import THESIS_COLUMN, Runs, run_step
 from waferbot_twin.thesis import known_deviations, printed, thesis, tolerance
 
-MODELS = ('rigid', 'flexible', 'simplified', 'as_built', 'calculated')
-"""The models that the tables need; `calculated` is the flexible one with calculated damping."""
-
 TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
-THESIS_COLUMN = {'rigid': 'rigid', 'flexible': 'flexible', 'as_built': 'measured'}
 
 KNIFE_EDGE = 0.01
 """Shift of the level, in steps, by which the sensitivity of a figure is shown."""
-
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Run:
-    """One step of one axis on one model: the axis' response, and the wall time of its loop."""
-
-    response: AxisResponse
-    loop_s: float
-    blew_up: bool
 
 
 @dataclass(frozen=True)
@@ -91,53 +66,6 @@ class Table:
                 for row in self.rows
             ],
         }
-
-
-class Runs:
-    """All the runs that the tables are made from, each made once."""
-
-    def __init__(self, progress: Progress = lambda done, total: None) -> None:
-        """Run everything; `progress` is called with the runs done and to do."""
-        wanted = [(model, axis) for model in MODELS for axis in AXES]
-        self._runs = {}
-        for done, (model, axis) in enumerate(wanted):
-            self._runs[model, axis] = run_step(model, axis)
-            progress(done + 1, len(wanted))
-
-    def __getitem__(self, key: tuple[str, str]) -> Run:
-        """Return the run of (model, axis)."""
-        return self._runs[key]
-
-    def metrics(self, model: str, axis: str) -> StepMetrics:
-        """Return the figures of a step, with the rise by the rule that the thesis used there."""
-        rule = thesis()['steps'][axis]['rise'][THESIS_COLUMN.get(model, 'flexible')]
-        return _metrics(self[model, axis].response, rule)
-
-    def rms_error(self, model: str, axis: str, reference: str = 'as_built') -> float:
-        """Return the RMS error (4.2) of a model's response to that of another, m or rad."""
-        return rms_difference(self[model, axis].response, self[reference, axis].response)
-
-
-def step_plan(model: str, axis: str) -> Plan:
-    """Return the plan of one axis' step, up and down, on a model of `MODELS`."""
-    plan = make_plan('flexible' if model == 'calculated' else model, f'step_{axis}')
-    if model == 'calculated':
-        plan = copy.deepcopy(plan)
-        plan.model.parameters['plant']['damping'] = 'calculated'
-    return plan
-
-
-def run_step(model: str, axis: str) -> Run:
-    """Run one axis' step on a model, in process; a plant that blows up is run as far as it goes."""
-    plan = step_plan(model, axis)
-    twin = Twin.of(plan.model, plan.timing, plan.experiment)
-    begun_s = time.perf_counter()
-    try:
-        signals, blew_up = twin.advance(plan.ticks), False
-    except Runaway as error:
-        signals, blew_up = error.signals, True
-    loop_s = time.perf_counter() - begun_s
-    return Run(simulated_responses(twin, signals)[AXES.index(axis)], loop_s, blew_up)
 
 
 def all_tables(runs: Runs) -> list[Table]:
@@ -240,9 +168,8 @@ def sensitivity(runs: Runs, model: str, axis: str, figure: str) -> tuple[float, 
 
     It ends at infinity where the figure is not reached within the hold for one of the levels.
     """
-    rule = thesis()['steps'][axis]['rise'][THESIS_COLUMN.get(model, 'flexible')]
     values = [
-        getattr(_metrics(runs[model, axis].response, rule, shift), figure)
+        getattr(runs.metrics(model, axis, shift), figure)
         for shift in (-KNIFE_EDGE, 0.0, KNIFE_EDGE)
     ]
     finite = [value for value in values if math.isfinite(value)]
@@ -429,13 +356,6 @@ def vibration_table(runs: Runs) -> Table:
             )
         )
     return table
-
-
-def _metrics(response: AxisResponse, rise: str, level_shift: float = 0.0) -> StepMetrics:
-    metrics = response.metrics(rise, level_shift)
-    if metrics is None:
-        raise ValueError('the response has no step')
-    return metrics
 
 
 def _end(value: float) -> str:

@@ -26,8 +26,10 @@ class Belt:
 
     `specific_stiffness_n_per_m` is c_sp, the force per width and unit strain, in N per metre of
     width (makers give N for a width); lengths in m, numbers of teeth whole, `span_pretension_n`
-    the tension of each span at rest in N. Raises `UserError` for values out of range and for a
-    belt that does not reach around its pulleys.
+    the tension of each span at rest in N. What it may bear, for the check of a run (see
+    `waferbot_plant.validity`): `allowed_span_tension_n`, of one span, in N, if the maker states it;
+    `friction_coefficient` of a flat belt on its pulleys, without which the belt is toothed. Raises
+    `UserError` for values out of range and for a belt that does not reach around its pulleys.
     """
 
     specific_stiffness_n_per_m: float
@@ -38,6 +40,8 @@ class Belt:
     driven_pulley_teeth: int
     span_pretension_n: float
     loss_factor: float
+    allowed_span_tension_n: float | None = None
+    friction_coefficient: float | None = None
 
     def __post_init__(self) -> None:
         """Check the data."""
@@ -52,6 +56,10 @@ class Belt:
                 raise UserError(f'belt: {name} is {teeth!r}; give a whole number.')
         require_positive(self.span_pretension_n, 'belt: span_pretension_n')
         require_not_negative(self.loss_factor, 'belt: loss_factor')
+        for name in ('allowed_span_tension_n', 'friction_coefficient'):
+            value = getattr(self, name)
+            if value is not None:
+                require_positive(value, f'belt: {name}')
         centre_distance_m(self)
 
     @property
@@ -124,6 +132,34 @@ def shaft_force_n(belt: Belt) -> float:
     difference = abs(belt.driven_pulley_radius_m - belt.drive_pulley_radius_m)
     phi = math.asin(difference / centre_distance_m(belt))
     return 2.0 * belt.span_pretension_n * math.cos(phi)
+
+
+def span_tensions_n(belt: Belt, pull_n: float) -> tuple[float, float]:
+    """
+    Return the tension of the tight and the slack span in N under an effective pull F in N.
+
+    T = F_pre + F/2 and F_pre - F/2, as equal spans share the pull: the tensions add up to 2 F_pre until
+    the slack one is gone, at F = 2 F_pre; beyond, the tight one bears all, and a slack span below zero
+    is by how much the pretension falls short.
+    """
+    pull = abs(pull_n)
+    slack = belt.span_pretension_n - 0.5 * pull
+    return (belt.span_pretension_n + 0.5 * pull if slack >= 0.0 else pull), slack
+
+
+def slip_pull_n(belt: Belt) -> float:
+    """
+    Return the effective pull in N at which the belt slips on its smaller pulley.
+
+    Euler and Eytelwein, T_1/T_2 = exp(mu beta) with T_1 + T_2 = 2 F_pre, so F = 2 F_pre tanh(mu beta/2),
+    beta the wrap of the smaller pulley, pi - 2 phi (see `belt_length_m`). A toothed belt is the limit
+    of large mu: its teeth can climb once a span is slack, F = 2 F_pre. Centrifugal force is left out.
+    """
+    if belt.friction_coefficient is None:
+        return 2.0 * belt.span_pretension_n
+    difference = abs(belt.driven_pulley_radius_m - belt.drive_pulley_radius_m)
+    wrap = math.pi - 2.0 * math.asin(difference / centre_distance_m(belt))
+    return 2.0 * belt.span_pretension_n * math.tanh(0.5 * belt.friction_coefficient * wrap)
 
 
 def axial_stiffness_n_per_m(belt: Belt) -> float:

@@ -100,3 +100,18 @@ def effective_stiffness_n_per_m(cable: Cable) -> float:
     area_m2 = metallic_area_7x19_m2(cable.nominal_diameter_m)
     length_m = free_length_m(cable.cable_length_m, cable.pulley_radius_m)
     return cable.number_of_cables * cable.elastic_modulus_pa * area_m2 / length_m
+
+
+def least_tension_n(cable: Cable) -> float:
+    """
+    Return the tension of one rope in N below which it does not bend around the half of its pulley.
+
+    An elastica of flexural rigidity E I that leaves a pulley of radius R with the moment E I / R turns
+    by theta before it touches, T (1 - cos theta) = E I / (2 R^2). At T = E I / (2 R^2) that is 90
+    degrees on either side: the rope touches at the top only, and its bow is a second compliance in
+    series. I is that of the wires side by side, 133 pi (d/15)^4 / 64, as they slide on one another; a
+    rope whose wires are held by rust or dirt is stiffer, up to a rod's, 380 times.
+    """
+    wire_diameter_m = cable.nominal_diameter_m / WIRES_ACROSS_7X19
+    area_moment_m4 = WIRES_7X19 * math.pi / 64.0 * wire_diameter_m**4
+    return cable.elastic_modulus_pa * area_moment_m4 / (2.0 * cable.pulley_radius_m**2)

@@ -5,6 +5,9 @@ Figures of a recording or an imported log: step response and following error of 
 Delay, rise, peak, overshoot, peak time and settling (5 %) are those of chapter 4 of the thesis and
 count from the step. With --rise main-peak the rise ends at the arrival that leads to the highest
 peak, as in chapter 6 for Y-Linear.
+
+Of a recorded run also what the parts of the machine had to bear, beside the range in which the model
+holds (docs/mechanism.md), and when it first left it.
 """
 
 from __future__ import annotations
@@ -15,12 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.table import Table
 
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.metrics import FIGURES, RISE_RULES, rms
 from waferbot_twin.plain_values import significant
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
+from waferbot_twin.validity import recorded_validity
 
 EXAMPLES = (
     'waferbot metrics runs/step',
@@ -43,8 +48,9 @@ def execute(options: argparse.Namespace) -> int:
     with progress_bar(f'reading {options.recording.name}') as progress:
         responses = load_responses(options.recording, progress)
     result = {response.axis: figures(response, options.rise) for response in responses}
+    bearing = recorded_validity(options.recording)
     if options.json:
-        print_json(result)
+        print_json({**result, 'loads': bearing})
         return 0
     table = new_table('figure', *(f'{axis} [{row["unit"]}]' for axis, row in result.items()))
     names = {
@@ -57,7 +63,23 @@ def execute(options: argparse.Namespace) -> int:
     for key, name in names.items():
         table.add_row(name, *(significant(row.get(key)) for row in result.values()))
     result_console.print(table)
+    if bearing:
+        result_console.print(load_table(bearing))
     return 0
+
+
+def load_table(bearing: list[dict[str, Any]]) -> Table:
+    """Return what parts had to bear, nearest to its limit or farthest beyond, as a table."""
+    table = new_table('part', 'worst', 'at [s]', 'range', 'left at [s]')
+    for row in bearing:
+        table.add_row(
+            f'{row["place"]}: {row["what"]}',
+            f'{significant(row["worst"])} {row["unit"]}',
+            f'{row["worst_s"]:.3f}',
+            row['limits'],
+            '' if row['first_s'] is None else f'{row["first_s"]:.3f}',
+        )
+    return table
 
 
 def figures(response: AxisResponse, rise: str) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from waferbot_lockstep.contract import (
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
+    PLANT_STATE,
     SERVO_STATE,
     SLOW_DIVIDER,
     Topic,
@@ -46,7 +47,7 @@ from waferbot_lockstep.standard_messages import (
 )
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
 from waferbot_lockstep.wire import WireFormat
-from waferbot_plant import plant
+from waferbot_plant import loads, plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.urdf import urdf
 from waferbot_pmac import compensation, servo
@@ -57,6 +58,7 @@ from waferbot_twin.models import Model
 from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import Account, close_complete
 from waferbot_twin.recording.writer import RecordingWriter, Table
+from waferbot_twin.validity import Validity
 
 CHUNK_TICKS = 9000
 """Ticks between two looks at the clock and at Ctrl-C (0.5 s of sim time)."""
@@ -72,7 +74,8 @@ class Signals:
 
     With n ticks: counts int64 (n_encoder, 4), line_current (n, 6), current_command (n_servo, 3),
     voltage (n, 9), open_bridges (n,), servo_state (n_servo, 15) in the order of the message's fields;
-    amplifier_* have one row per amplifier message; joint_* (n_slow, 3). All begin at tick `first`.
+    amplifier_* have one row per amplifier message; joint_* (n_slow, 3); loads (n_slow, loads.WIDTH), NaN
+    of a plant that tells none. All begin at tick `first`.
     """
 
     first: int
@@ -91,6 +94,7 @@ class Signals:
     amplifier_messages: np.ndarray = field(init=False)
     joint_position: np.ndarray = field(init=False)
     joint_velocity: np.ndarray = field(init=False)
+    loads: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         """Reserve the arrays."""
@@ -111,6 +115,7 @@ class Signals:
         self.amplifier_messages = np.zeros(1, np.int64)
         self.joint_position = np.zeros((slow_rows, axes))
         self.joint_velocity = np.zeros((slow_rows, axes))
+        self.loads = np.full((slow_rows, loads.WIDTH), np.nan)
 
     def until(self, tick: int) -> Signals:
         """Return the part of these signals before `tick`."""
@@ -131,6 +136,18 @@ class Signals:
                 int(self.amplifier_axes[row]),
                 self.amplifier_bits[row, 1],
             )
+
+    def note_validity(self, validity: Validity) -> None:
+        """Have what the plant's parts bear, and the currents, watched."""
+        validity.note_loads(loads.Loads.of_rows(np.array(self.slow_ticks), self.loads))
+        validity.note_commands(np.array(self.servo_ticks), self.current_command)
+        rows = slice(int(self.amplifier_messages[0]))
+        validity.note_amplifiers(
+            self.amplifier_tick[rows],
+            self.amplifier_axes[rows],
+            self.amplifier_i2t[rows, 0],
+            self.amplifier_i2t[rows, 1],
+        )
 
     def _ticks_of(self, divider: int) -> range:
         start = -(-self.first // divider) * divider
@@ -196,6 +213,7 @@ class Twin:
         self._start = np.zeros(len(AXES))
         self._counts = np.zeros(4, np.int64)
         self._current = np.zeros(len(AXES))
+        self._loads = loads.begin()
 
     @classmethod
     def of(cls, model: Model, timing: Timing, experiment: Experiment) -> Twin:
@@ -276,6 +294,8 @@ class Twin:
             signals.amplifier_messages,
             signals.joint_position,
             signals.joint_velocity,
+            self._loads,
+            signals.loads,
         )
         if coordinate >= 0:
             self.tick = stopped
@@ -307,6 +327,7 @@ def run(
     _compile(plan)
     begun_s = time.perf_counter()
     failures = Failures(plan.timing)
+    validity = Validity(plan.model, plan.timing, twin.machine)
     with contextlib.ExitStack() as stack:
         recorder = None
         if out is not None:
@@ -319,20 +340,24 @@ def run(
             advance = twin.advance if advance_with is None else advance_with(twin)
             for signals in _chunks(twin, advance, plan.ticks, progress):
                 signals.note_failures(failures)
+                signals.note_validity(validity)
                 if recorder:
                     recorder.write(signals)
         except Runaway as error:
             error.signals.note_failures(failures)
+            error.signals.note_validity(validity)
             if recorder:
                 recorder.write(error.signals)
                 with contextlib.suppress(UserError):  # of what is missing behind that tick
-                    recorder.close(plan.ticks, failures.reason())
+                    recorder.close(plan.ticks, validity.after(failures.reason()), validity.told())
             raise failures.with_this(error) from None
         loop_s = time.perf_counter() - begun_s
-        failure = failures.reason()
+        failure = validity.after(failures.reason())
         if recorder:
-            return Outcome(recorder.close(plan.ticks, failure), loop_s)
-        return Outcome(close_complete(None, Account(plan.timing), plan.ticks, failure), loop_s)
+            line = recorder.close(plan.ticks, failure, validity.told())
+        else:
+            line = close_complete(None, Account(plan.timing), plan.ticks, failure)
+        return Outcome(line, loop_s, validity.departures())
 
 
 def _compile(plan: Plan) -> None:
@@ -371,8 +396,9 @@ class SignalRecorder:
             self._wire[topic] = WireFormat(topic.type_name)
         self._standard_topics = standard_topics
         if standard_topics:
-            for name, type_name in (CLOCK, JOINT_STATES):
+            for name, type_name in (CLOCK, JOINT_STATES, PLANT_STATE):
                 writer.add_topic(f'/{name}', type_name)
+            self._plant_state = WireFormat(PLANT_STATE[1])
 
     def describe(self, robot: str) -> None:
         """Write the URDF of the machine, as the plant node says it before tick 0."""
@@ -434,15 +460,33 @@ class SignalRecorder:
             )
             for row, stamp in enumerate(stamps_ns.tolist())
         ]
-        return [
+        tables = [
             Table.of_messages(f'/{topic[0]}', stamps_ns, messages)
             for topic, messages in ((CLOCK, clocks), (JOINT_STATES, joints))
             if messages
         ]
+        told = np.isfinite(signals.loads).all(axis=1)
+        if told.any():
+            records = self._plant_state.blank(int(told.sum()))
+            records['tick'] = np.asarray(signals.slow_ticks, np.int64)[told]
+            records['stamp_sec'], records['stamp_nanosec'] = np.divmod(
+                stamps_ns[told], NANOSECONDS_PER_SECOND
+            )
+            records['valid'] = ALL_AXES
+            names = self._plant_state.value_fields
+            values = loads.fields(signals.loads[told])
+            for name, column in zip(names, values, strict=True):
+                records[name] = column
+            tables.append(Table.of(f'/{PLANT_STATE[0]}', stamps_ns[told], records))
+        return tables
 
-    def close(self, ticks: int, failure: str = '') -> str:
-        """Close the recording; return the line that says whether it is complete, or raise `failure`."""
-        return close_complete(self._writer, self._account, ticks, failure)
+    def close(self, ticks: int, failure: str = '', told: Mapping[str, str] | None = None) -> str:
+        """
+        Close the recording; return the line that says whether it is complete, or raise `failure`.
+
+        `told` goes into its metadata.
+        """
+        return close_complete(self._writer, self._account, ticks, failure, told)
 
 
 @compiled
@@ -483,12 +527,15 @@ def _advance(
     amplifier_messages,
     joint_position,
     joint_velocity,
+    borne,
+    loads_out,
 ):
     """
     Run the closed loop from tick `first` on, for `ticks` ticks, in the order of the contract.
 
-    Within a tick: plant measures; PMAC, on a servo tick; Copley; plant integrates. `start`, `counts`
-    and `current` carry over to the next call; the *_out and amplifier_* arrays are filled from row 0.
+    Within a tick: plant measures; PMAC, on a servo tick; Copley; plant integrates. `start`, `counts`,
+    `current` and `borne` (see `loads`) carry over to the next call; the *_out and amplifier_* arrays are
+    filled from row 0.
     Returns the tick that comes next, and -1, or the coordinate for which it stopped at that tick
     because the plant blew up.
     """
@@ -518,11 +565,13 @@ def _advance(
                 joint_position[slow_row],
                 joint_velocity[slow_row],
             )
+            loads.take(plant_state, plant_parameters, borne, loads_out[slow_row])
             slow_row += 1
         if tick % encoder_divider == 0:
             counts_out[encoder_row] = counts
             encoder_row += 1
         if tick % servo_divider == 0:
+            loads.note(plant_state, plant_parameters, borne)
             cycle = tick // servo_divider
             if cycle == 0:
                 for axis in range(3):

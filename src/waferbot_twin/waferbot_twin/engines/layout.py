@@ -15,6 +15,7 @@ from waferbot_lockstep.contract import (
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
+    PLANT_STATE,
     RECORDER_WINDOW,
     SERVO_STATE,
 )
@@ -100,7 +101,13 @@ def layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, NodeLayout]]:
 
 
 TOPICS_OF = {
-    'plant': (ENCODERS_TOPIC.name, PHASE_CURRENTS.name, CLOCK[0], JOINT_STATES[0]),
+    'plant': (
+        ENCODERS_TOPIC.name,
+        PHASE_CURRENTS.name,
+        CLOCK[0],
+        JOINT_STATES[0],
+        PLANT_STATE[0],
+    ),
     'pmac': (CURRENT_COMMAND.name, SERVO_STATE.name),
     'copley': (PHASE_VOLTAGES.name, AMPLIFIER_STATE.name),
 }

@@ -57,6 +57,7 @@ from waferbot_twin.plan import Outcome, Plan
 from waferbot_twin.recording.completeness import close_complete, reported
 from waferbot_twin.recording.recorder import Recorder
 from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.validity import Validity
 
 ASK_AGAIN_S = 1.0
 """Wall time after which the plant is asked again to go on."""
@@ -110,12 +111,14 @@ def run(
             channel = Channel(folder, 'runner')
             stack.callback(channel.close)
         exchange = Exchange(channel, [f'/{name}' for name in given_by(options.without)])
+        validity = Validity(plan.model, plan.timing)
         recorder = Recorder(
             writer,
             plan.timing,
             {**reported(options.without), **_commands_needed(options)},
             clock_needed='plant' not in options.without,
             exchange=None if options.delivery == TOPICS else exchange,
+            validity=validity,
         )
         stack.callback(recorder.destroy_node)
         members = Together(
@@ -130,8 +133,9 @@ def run(
             ).run()
         except UserError as error:
             raise recorder.failures.with_this(error) from None
-        failure = recorder.failures.reason()
-        return Outcome(close_complete(writer, recorder.account, plan.ticks, failure), loop_s)
+        failure = validity.after(recorder.failures.reason())
+        line = close_complete(writer, recorder.account, plan.ticks, failure, validity.told())
+        return Outcome(line, loop_s, validity.departures())
 
 
 def _commands_needed(options: RosOptions) -> dict[Topic, int]:

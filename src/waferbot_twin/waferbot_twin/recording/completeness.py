@@ -181,13 +181,17 @@ class Account:
 
 
 def close_complete(
-    writer: RecordingWriter | None, account: Account, ticks: int, failure: str = ''
+    writer: RecordingWriter | None,
+    account: Account,
+    ticks: int,
+    failure: str = '',
+    told: Mapping[str, str] | None = None,
 ) -> str:
     """
     Close a recording of `ticks` ticks, if there is one; return `0 missing of N`.
 
-    Raises `UserError`, after closing the file, if a message is missing, or with `failure`, which makes
-    the run no result though all of it is there.
+    `told` is what else its metadata tell of the run. Raises `UserError`, after closing the file, if a
+    message is missing, or with `failure`, which makes the run no result though all of it is there.
     """
     if writer is None:
         if failure:
@@ -203,6 +207,7 @@ def close_complete(
             'missing': str(sum(missing.values())),
             'expected': str(expected),
             **({'failure': failure} if failure else {}),
+            **(told or {}),
         }
     )
     if failure:

@@ -23,7 +23,7 @@ from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from waferbot_lockstep.contract import CONTRACT_TOPICS, Topic
+from waferbot_lockstep.contract import CONTRACT_TOPICS, PLANT_STATE, Topic
 from waferbot_lockstep.definitions import type_hash
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
@@ -195,10 +195,16 @@ def header_of(path: Path) -> Recording:
     return Recording(path, {}, {}, {}, False, attachments)
 
 
-def stream_recording(path: Path, take: TakeRecords, progress: Progress | None = None) -> Recording:
+def stream_recording(
+    path: Path,
+    take: TakeRecords,
+    progress: Progress | None = None,
+    take_plant_state: Callable[[np.ndarray], None] | None = None,
+) -> Recording:
     """
     Give the messages of the contract's topics to `take`, some thousand at a time, in the file's order.
 
+    Those of `plant_state`, if there are any, go to `take_plant_state` if it is given.
     The result has everything else of the recording: its `topics` are empty arrays. So a recording of
     any length needs no memory but for what the caller keeps. Raises `UserError` as `read_recording`.
     """
@@ -206,10 +212,15 @@ def stream_recording(path: Path, take: TakeRecords, progress: Progress | None = 
     content = Content(closed=True)
     counts: dict[str, int] = {}
     known: dict[str, tuple[Topic, WireFormat] | None] = {}
+    plant_state = WireFormat(PLANT_STATE[1])
     empty: dict[str, np.ndarray] = {}
 
     def take_messages(name: str, messages: Messages) -> None:
         counts[name] = counts.get(name, 0) + len(messages)
+        if content.types[name] == PLANT_STATE[1]:
+            if take_plant_state is not None and content.hashes[name] == type_hash(PLANT_STATE[1]):
+                take_plant_state(_records_of(plant_state, messages))
+            return
         if name not in known:
             known[name] = _wire_of(name, content, file)
         found = known[name]

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from rclpy.clock import Clock as WallClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
@@ -23,6 +24,8 @@ from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
     AXES,
     CONTRACT_TOPICS,
+    CURRENT_COMMAND,
+    PLANT_STATE,
     RECORDED_TOPIC,
     RECORDER_WINDOW,
     SERVO_STATE,
@@ -50,6 +53,7 @@ from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.failures import Failures
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.writer import RecordingWriter
+from waferbot_twin.validity import Validity, loads_of
 
 ANNOUNCE_TICKS = RECORDER_WINDOW // 8
 """Ticks between two announcements of how far the recording has come."""
@@ -77,6 +81,7 @@ class Recorder(Node):
         needed: Mapping[Topic, int] | None = None,
         clock_needed: bool = True,
         exchange: Exchange | None = None,
+        validity: Validity | None = None,
     ) -> None:
         """
         Be ready to record; with no writer, only keep account.
@@ -84,12 +89,14 @@ class Recorder(Node):
         `needed` is that of `Account`; `clock_needed` says whether `/clock` and `joint_states` must be
         there too: then the plant is one that waits for the recorder, and a message from far ahead is a
         stranger's, which would make all that is still to come look old. What nodes of this process give,
-        or a channel, is taken from `exchange`.
+        or a channel, is taken from `exchange`. `validity` watches what the messages tell, if given.
         """
         super().__init__('recorder')
         self.exchange = exchange or Exchange()
         self.account = Account(timing, needed)
         self._clock_needed = clock_needed
+        self._validity = validity
+        self._plant_state = WireFormat(PLANT_STATE[1])
         self.tick = -1
         self.stop_reason = ''
         self.interrupted = False
@@ -106,14 +113,18 @@ class Recorder(Node):
             self._on_sign_of_life,
             clock=WallClock(clock_type=ClockType.STEADY_TIME),
         )
-        self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1}
+        self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1, PLANT_STATE[0]: -1}
         self._described = False
 
     def begin(self) -> None:
         """Listen to everything; called once, when all nodes of this process are there."""
         for topic in CONTRACT_TOPICS:
             self._record_contract(topic, WireFormat(topic.type_name))
-        for (name, type_name), message_type in ((CLOCK, Clock), (JOINT_STATES, JointState)):
+        for (name, type_name), message_type in (
+            (CLOCK, Clock),
+            (JOINT_STATES, JointState),
+            (PLANT_STATE, waferbot_msgs.msg.PlantState),
+        ):
             self._record(name, type_name, message_type, self._standard_callback(name))
         self._record(*ROBOT_DESCRIPTION, String, self._on_description, latched=True)
         self.create_subscription(
@@ -197,6 +208,9 @@ class Recorder(Node):
                     self.failures.killed.note(tick, values[-len(AXES) :])
                 elif topic is AMPLIFIER_STATE:
                     self.failures.note_faults(tick, valid, values[-len(AXES) :])
+                    self._note_amplifiers(tick, valid, values)
+                elif topic is CURRENT_COMMAND and self._validity is not None:
+                    self._validity.note_command(tick, valid, values)
                 if writer is not None:
                     writer.write(name, stamp_ns, wire.normalised(data))
 
@@ -210,10 +224,27 @@ class Recorder(Node):
             stamp_ns = stamp_of(data)
             if stamp_ns > stamps[short_name]:
                 stamps[short_name] = stamp_ns
+                if short_name == PLANT_STATE[0]:
+                    data = self._note_plant_state(data)
                 if writer is not None:
                     writer.write(name, stamp_ns, data)
 
         return on_message
+
+    def _note_plant_state(self, data: bytes) -> bytes:
+        """Have what the plant tells watched; return the message without padding."""
+        if self._validity is not None:
+            tick, _, _, values = self._plant_state.decode(data)
+            self._validity.note_loads(loads_of(tick, values))
+        return self._plant_state.normalised(data)
+
+    def _note_amplifiers(self, tick: int, valid: int, values: Sequence[float]) -> None:
+        if self._validity is not None:
+            axes = len(AXES)
+            accumulator, setpoint = np.array([values[:axes]]), np.array([values[axes : 2 * axes]])
+            self._validity.note_amplifiers(
+                np.array([tick]), np.array([valid]), accumulator, setpoint
+            )
 
     def _on_sign_of_life(self) -> None:
         self._note_stop(self._stops.look_around())
