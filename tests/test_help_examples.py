@@ -129,10 +129,13 @@ def test_it_runs(example, run):
     run(example)
 
 
+JSON_ELSEWHERE = ('run', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify')
+"""Commands that their own tests ask for JSON; they take long."""
+
 FIRST = {
     command: next((one for one in examples if arguments_of(one)[0] == command), None)
     for command, examples in EXAMPLES.items()
-    if command not in ('run', 'tune')  # test_command_line and test_tune ask for it
+    if command not in JSON_ELSEWHERE
 }
 """The first example of each command that is one of its own."""
 
