@@ -42,6 +42,7 @@ PROPORTIONAL = (1.43e-3, 3.91e-2, 1.01e-3)  # A/count
 DERIVATIVE = (1.8e-2, 2.9e-1, 2.5e-2)  # A/(count per servo cycle)
 BIAS = (0.731, -8.111, 0.0)  # A
 LARGEST = 35.0  # A
+STRETCH_S = 10.0  # of wall time, for each of which the largest deviations are told
 
 
 class LossyPmac(Node):
@@ -62,8 +63,9 @@ class LossyPmac(Node):
         self.ended = False
         self.counts = {
             'sent': 0, 'dropped': 0, 'delayed': 0, 'overtaken': 0, 'unanswered': 0, 'last tick': 0,
-            'largest deviation': 0.0,
+            'largest deviation': 0.0, 'largest deviations': [],
         }  # fmt: skip
+        self.begun_s = 0.0
 
     def on_encoders(self, encoders: Encoders) -> None:
         """Answer the servo cycle of the newest counts, if it has not been answered yet."""
@@ -97,8 +99,7 @@ class LossyPmac(Node):
         before, previous = self.previous or (encoders.tick - SERVO_TICKS, counts)
         self.previous = encoders.tick, counts
         cycles = (encoders.tick - before) / SERVO_TICKS
-        largest = max(self.counts['largest deviation'], *map(abs, counts))
-        self.counts['largest deviation'] = largest
+        self.note_deviations(counts)
         current = []
         for axis in range(3):
             speed = (counts[axis] - previous[axis]) / cycles
@@ -108,6 +109,16 @@ class LossyPmac(Node):
         stamp_ns = tick * 500000 // 9
         command.header.stamp.sec, command.header.stamp.nanosec = divmod(stamp_ns, 10**9)
         return command
+
+    def note_deviations(self, counts: list[float]) -> None:
+        """Keep how far each axis was from where it is held, in each stretch of wall time."""
+        told = self.counts
+        told['largest deviation'] = max(told['largest deviation'], *map(abs, counts))
+        self.begun_s = self.begun_s or time.monotonic()
+        stretches = told['largest deviations']
+        while len(stretches) <= (time.monotonic() - self.begun_s) / STRETCH_S:
+            stretches.append([0.0] * 3)
+        stretches[-1] = [max(pair) for pair in zip(stretches[-1], map(abs, counts), strict=True)]
 
     def send(self, command: CurrentCommand) -> None:
         self.counts['sent'] += 1

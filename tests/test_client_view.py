@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from harness import Client, Program, start_node
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -243,6 +244,50 @@ def test_the_action_begins_where_the_axes_stand(twin):
     assert run_experiment(twin, SHORT_STEP).result.success
     after = listen(twin, '/servo_state', waferbot_msgs.msg.ServoState)[-1].commanded_position[0]
     assert after - before == 500
+
+
+JOG = """
+name: long_jog
+duration_s: 3
+motion: {y_linear: {kind: jog, distance_m: 0.3, speed_m_per_s: 0.2}}
+"""
+
+
+def test_the_action_can_be_cancelled_and_brings_the_motors_to_rest(twin):
+    """By Ixx15 = 50 counts/ms^2 from 2000 counts/ms: 40 ms and 40,000 counts later."""
+    state = waferbot_msgs.msg.ServoState
+    heard = []
+    subscription = twin.node.create_subscription(state, '/servo_state', heard.append, 1024)
+    twin.spin_until(lambda: heard, 'the commanded positions')
+    begun = heard[-1].commanded_position[0]
+    actions = ActionClient(twin.node, RunExperiment, 'run_experiment')
+    goal = twin.run_experiment(actions, JOG)
+    assert goal.accepted
+    twin.spin_until(lambda: heard[-1].commanded_position[0] > begun + 500_000, 'the move')
+    fast = len(heard) - 1
+    response = twin.answer(goal.cancel_goal_async, 'answer to the cancelling')
+    assert len(response.goals_canceling) == 1
+    answer = twin.result_of(goal)
+    assert answer.status == 5  # STATUS_CANCELED
+    assert not answer.result.success
+    assert 'brought to rest' in answer.result.message
+    twin.spin_until(lambda: heard and heard[-1].tick > answer.result.last_tick + 800, 'rest')
+    twin.node.destroy_subscription(subscription)
+    ticks = np.array([message.tick for message in heard[fast - 1 :]])
+    place = np.array([message.commanded_position[0] for message in heard[fast - 1 :]])
+    whole = np.flatnonzero(np.diff(ticks) == 8)  # between servo cycles that follow one another
+    steps, speed = np.diff(place)[whole], 2000 / 2.25
+    assert steps[0] == pytest.approx(speed, rel=1e-3)
+    rounding = 4 / (
+        32 * 96
+    )  # of the command's register, 1/(32 Ixx08) counts, in a second difference
+    assert np.all(np.diff(steps) >= -(50 / 2.25**2) - rounding), 'as hard as Ixx15, no harder'
+    assert steps[-1] == 0.0
+    stopping = place[-1] - place[whole][steps > 0.999 * speed].max()
+    assert stopping == pytest.approx(2000**2 / (2 * 50), rel=0.05)
+    again = run_experiment(twin, SHORT_STEP)
+    assert again.result.success, again.result.message
+    actions.destroy()
 
 
 @pytest.mark.parametrize(

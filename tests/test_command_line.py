@@ -14,6 +14,7 @@ import pytest
 from harness import PATIENCE_S, waferbot
 
 from waferbot_twin.cli.main import COMMANDS as MODULES
+from waferbot_twin.cli.main import main
 
 COMMANDS = tuple(MODULES)
 FAST = ('run', '--engine', 'inprocess', '--duration', '0.01')
@@ -106,7 +107,7 @@ MISTAKES = {
     'domain of the environment': (('run', '--duration', '0.01'), 'ROS_DOMAIN_ID'),
     'unknown node': (
         ('run', '--engine', 'composed', '--without', 'pmak', '--duration', '0.01'),
-        'pmak',
+        "did you mean 'pmac'?",
     ),
     'nodes without ROS': (
         (*FAST, '--without', 'pmac'),
@@ -151,6 +152,24 @@ def test_a_model_with_a_value_out_of_range_names_the_range(tmp_path):
     assert result.returncode == 1
     assert result.stderr.startswith('waferbot: error: ')
     assert '32767' in result.stderr
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'nearest'),
+    [
+        (('run', '--enigne', 'inprocess'), '--engine'),
+        (('run', '--sed=3'), '--seed'),
+        (('run', '--engine', 'inproces'), 'inprocess'),
+        (('replay', 'run', '--node', 'pmak'), 'pmac'),
+    ],
+)
+def test_a_misspelt_option_or_choice_is_answered_with_the_nearest(arguments, nearest, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    told = capsys.readouterr().err
+    assert told.startswith(f'usage: waferbot {arguments[0]}')
+    assert told.endswith(f'did you mean {nearest!r}?\n')
 
 
 @pytest.mark.parametrize('arguments', [('run', '--speed', '2'), ('fly',), ()])

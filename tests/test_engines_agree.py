@@ -20,10 +20,8 @@ from waferbot_twin.recording.reader import recording_file
 
 def standard_messages(recording):
     """Return the bytes of all messages on the standard topics, in order."""
-    names, found = (
-        {},
-        {topic: [] for topic in ('/clock', '/joint_states', '/plant_state', '/robot_description')},
-    )
+    topics = ('/clock', '/joint_states', '/plant_state', '/robot_description', '/tf', '/tf_static')
+    names, found = {}, {topic: [] for topic in topics}
     with recording_file(recording.path).open('rb') as stream:
         for record in StreamReader(stream).records:
             if type(record).__name__ == 'Channel':
@@ -53,7 +51,9 @@ def test_step_over_ros_is_bit_identical_to_the_loop_without_ros(recorded, engine
 @pytest.mark.parametrize('engine', ['ros', 'composed'])
 def test_standard_messages_are_the_same_bytes(recorded, engine):
     one, other = standard_messages(recorded(engine)), standard_messages(recorded('inprocess'))
-    assert len(one['/clock']) == len(one['/joint_states']) == len(one['/plant_state']) == 50
+    for topic in ('/clock', '/joint_states', '/plant_state', '/tf'):
+        assert len(one[topic]) == 50
+    assert len(one['/tf_static']) == 1
     ((stamp, description),) = one['/robot_description']
     assert stamp == 0
     assert b'<robot name="waferbot">' in description

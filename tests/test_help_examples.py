@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from importlib import import_module
 
@@ -105,9 +106,10 @@ def run(folder, monkeypatch, capfd):
     monkeypatch.setattr(ViewServer, 'serve_forever', serve_once)
 
     def run_example(example):
+        """Run it, unless what it writes is there; return what it prints."""
         out = output_of(example)
         if out and (folder / out).exists():
-            return
+            return ''
         for maker in ALL:
             made = output_of(maker)
             if maker != example and made in arguments_of(example):
@@ -116,6 +118,7 @@ def run(folder, monkeypatch, capfd):
         shown = capfd.readouterr()
         assert code == 0, shown.err
         assert out is None or (folder / out).exists()
+        return shown.out
 
     return run_example
 
@@ -124,3 +127,27 @@ def run(folder, monkeypatch, capfd):
 @pytest.mark.parametrize('example', [example for example in ALL if example not in LONG])
 def test_it_runs(example, run):
     run(example)
+
+
+JSON_ELSEWHERE = ('run', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify')
+"""Commands that their own tests ask for JSON; they take long."""
+
+FIRST = {
+    command: next((one for one in examples if arguments_of(one)[0] == command), None)
+    for command, examples in EXAMPLES.items()
+    if command not in JSON_ELSEWHERE
+}
+"""The first example of each command that is one of its own."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    'command', [command for command, first in FIRST.items() if first not in LONG]
+)
+def test_its_result_is_json_and_nothing_else(command, run):
+    example = FIRST[command]
+    out = output_of(example)
+    asked = example if out is None else example.replace(f'--out {out}', f'--out as_json/{out}')
+    again = ' --force' if '--html' in asked or '--plot' in asked else ''
+    told = json.loads(run(f'{asked}{again} --json'))
+    assert told or command == 'library', 'an empty library is an empty list'

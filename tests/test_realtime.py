@@ -246,6 +246,76 @@ def test_no_finite_number_still_stops_it(plant, peer):
     assert re.search(r'topic phase_voltages, tick \d+ from copley: .*finite', plant.output)
 
 
+# ---- amplifiers that were away ---------------------------------------------------------------------
+
+
+def stamped(message, tick):
+    message.tick = tick
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(tick * 500000 // 9, 10**9)
+    return message
+
+
+def test_amplifiers_that_were_away_answer_the_newest_tick_not_all_that_went_by(
+    start, connect, domain
+):
+    """
+    A plant that does not wait has gone on by 600 ticks meanwhile.
+
+    Who works off all of them answers ticks long past, and falls further behind as it does.
+    """
+    copley = start_node(start, 'copley', domain, 'timekeeping:=realtime')
+    client = connect(domain)
+    answers = []
+    client.node.create_subscription(
+        PhaseVoltages, 'phase_voltages', lambda message: answers.append(message.tick), 1024
+    )
+    currents = client.node.create_publisher(PhaseCurrents, 'phase_currents', 1024)
+    encoders = client.node.create_publisher(Encoders, 'encoders', 1024)
+    commands = client.node.create_publisher(CurrentCommand, 'current_command', 1024)
+
+    def tell(tick):
+        if tick % 2 == 0:
+            encoders.publish(stamped(Encoders(valid=0b1111), tick))
+        if tick % 8 == 0:
+            commands.publish(stamped(CurrentCommand(valid=0b111), tick))
+        currents.publish(stamped(PhaseCurrents(valid=0b111), tick))
+
+    def answered(tick):
+        if not answers:
+            tell(0)  # a sign of life: Copley may not have been there yet
+        return tick in answers
+
+    client.spin_until(lambda: answered(0), 'the first answer')
+    for tick in range(1, 9):
+        tell(tick)
+        client.spin_until(lambda tick=tick: tick in answers, f'an answer to tick {tick}')
+    copley.signal(signal.SIGSTOP)
+    answers.clear()
+    for tick in range(9, 610):
+        tell(tick)
+    copley.signal(signal.SIGCONT)
+    client.spin_until(lambda: 609 in answers, 'an answer to the newest tick')
+    assert len(set(answers)) < 20, f'{len(set(answers))} ticks of the past were answered'
+
+
+def test_a_command_that_is_lost_does_not_cost_the_plant_its_voltages(start, connect, domain):
+    """The amplifiers go on by themselves before the plant would; it counts no voltages as missed."""
+    start_node(start, 'plant', domain, 'timekeeping:=realtime', 'patience_s:=5.0')
+    start_node(start, 'copley', domain, 'timekeeping:=realtime', 'patience_s:=5.0')
+    client = connect(domain)
+    seen = Onlooker(client)
+    commands = client.node.create_publisher(CurrentCommand, 'current_command', 1024)
+
+    def begun():
+        if seen.tick.get('phase_voltages', -1) < 0:
+            commands.publish(stamped(CurrentCommand(valid=0b111), 0))
+        return seen.tick.get('phase_voltages', -1) >= 8
+
+    client.spin_until(begun, 'the first servo cycle, and the second without a command', 120.0)
+    seen.wait_for(lambda: seen.told('plant', 'phase_voltages received') > 8, 'the plant to tell')
+    assert seen.told('plant', 'phase_voltages missed') == 0
+
+
 # ---- a controller behind a bad network -------------------------------------------------------------
 
 
@@ -256,3 +326,5 @@ def test_a_controller_that_loses_and_delays_commands_is_counted_to_the_message(t
     assert found['ok'], found
     assert found['done']['dropped'] > 0
     assert found['done']['delayed'] > 0
+    # A command that was lost costs one servo cycle; the axes hardly notice (142 counts of the start).
+    assert found['done']['largest deviation'] < 1000

@@ -28,6 +28,7 @@ setup(
     entry_points={
         'console_scripts': [
             'composed = waferbot_twin.composed:main',
+            'joint_bridge = waferbot_twin.ros2_control.bridge:main',
             'recorder = waferbot_twin.record:main',
             'waferbot = waferbot_twin.cli:main',
         ],

@@ -47,6 +47,7 @@ from diagnosis_matrix.cases import GROUPS, Case, cases, pairs
 from diagnosis_matrix.differences import same_names
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.cli.console import in_words
 from waferbot_twin.cluster import cluster
 from waferbot_twin.effects import find
 
@@ -119,6 +120,7 @@ def _bench(options: argparse.Namespace) -> None:
     if left and options.minutes != 0:
         _refuse_second_run(lines, options.seed, commit, results)
     print(f'{len(wanted)} cases, {len(left)} to do; results: {results}')
+    begun_s = time.monotonic()
     with cluster(options.cluster, PACKAGE) as cores, results.open('a', encoding='utf-8') as file:
         for number, line in enumerate(_run_all(left, cores, options), 1):
             line['commit'] = commit
@@ -126,9 +128,12 @@ def _bench(options: argparse.Namespace) -> None:
             file.flush()
             lines.append(line)
             reported = ', '.join(item['name'] for item in line.get('reported', []))
+            more = len(left) - number
+            left_s = (time.monotonic() - begun_s) / number * more
             print(
                 f'{number}/{len(left)}  {line["key"]}: {line["outcome"]}'
-                f'{f" ({reported})" if reported else ""}, {line["case_s"]:.0f} s',
+                f'{f" ({reported})" if reported else ""}, {line["case_s"]:.0f} s'
+                f'{f"; about {in_words(left_s)} left for all" if more else ""}',
                 flush=True,
             )
     of_seed = [

@@ -31,6 +31,7 @@ from rich.table import Table
 from waferbot_lockstep.node import lockstep_qos, make_executor
 from waferbot_lockstep.wire import WireFormat
 from waferbot_msgs.msg import PhaseCurrents, PhaseVoltages
+from waferbot_twin.cli.console import progress_bar
 from waferbot_twin.engines import inprocess, ros
 from waferbot_twin.plan import make_plan
 
@@ -174,11 +175,17 @@ def main() -> None:
         return
     raw: dict[str, list[float]] = {'separate': [], 'composed': []}
     rates: dict[str, list[float]] = {case: [] for case in CASES}
-    for _ in range(options.repeat):
-        for kind in raw:
-            raw[kind].append(ping_pong(kind == 'composed'))
-        for case in CASES:
-            rates[case].append(twin_rate(case))
+    done, total = 0, options.repeat * (len(raw) + len(CASES))
+    with progress_bar('measuring') as progress:
+        for _ in range(options.repeat):
+            for kind in raw:
+                raw[kind].append(ping_pong(kind == 'composed'))
+                done += 1
+                progress(done, total)
+            for case in CASES:
+                rates[case].append(twin_rate(case))
+                done += 1
+                progress(done, total)
     results = []
     for case, (kind, _, _) in CASES.items():
         rate = statistics.median(rates[case])

@@ -35,6 +35,7 @@ from rich.table import Table
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import plant
+from waferbot_twin.cli.console import progress_bar
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.plan import make_plan
 
@@ -110,7 +111,7 @@ def time_closed_loop(model: str, experiment: str) -> float:
     return microseconds_each(lambda: twin.advance(plan.ticks), plan.ticks)
 
 
-def measure(rounds: int) -> list[dict[str, Any]]:
+def measure(rounds: int, progress: Callable[[int, int], None]) -> list[dict[str, Any]]:
     """Return a row per model; the best of rounds, the engines in turn within each."""
     integrators = mujoco.mjtIntegrator
     rows = []
@@ -128,9 +129,10 @@ def measure(rounds: int) -> list[dict[str, Any]]:
             },
         }
         found: dict[str, list[float]] = {name: [] for name in cases}
-        for _ in range(rounds):
+        for number in range(rounds):
             for name, case in cases.items():
                 found[name].append(case())
+            progress(len(rows) * rounds + number + 1, len(MODELS) * rounds)
         rows.append(
             {
                 'model': model,
@@ -211,7 +213,9 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--rounds', type=int, default=7, help='rounds; the best is shown')
-    rows = measure(parser.parse_args().rounds)
+    options = parser.parse_args()
+    with progress_bar('measuring') as progress:
+        rows = measure(options.rounds, progress)
     print_tables(rows)
     folder = Path('bench-results')
     folder.mkdir(exist_ok=True)

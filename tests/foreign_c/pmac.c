@@ -7,19 +7,23 @@
  * carries them exactly, in whatever order; compile without fused multiply-add (-ffp-contract=off).
  *
  *   pmac STEP_TICK  COUNTS Ixx08 Ixx09 Ixx29 Ixx30 Ixx31 Ixx32 Ixx33 PEAK_CURRENT  (nine for each motor)
+ *   pmac --realtime STEP_TICK ...
  *
- * At STEP_TICK each motor is commanded to step by COUNTS from where it stood at the beginning.
+ * At STEP_TICK each motor is commanded to step by COUNTS from where it stood at the beginning. In real time
+ * the newest counts are answered, once, with the tick of their servo cycle; what went by is made up for
+ * in the law, not answered.
  */
 
 #include <math.h>
 #include <stdbool.h>
+#include <string.h>
 
 #include "node.h"
 #include "waferbot_msgs/msg/current_command.h"
 #include "waferbot_msgs/msg/encoders.h"
 #include "waferbot_msgs/msg/stop.h"
 
-enum { MOTORS = 3, SERVO_TICKS = 8 };
+enum { MOTORS = 3, SERVO_TICKS = 8, HORIZON = 1024 };
 
 #define INTEGRATOR_UNITS 8388608.0          /* 2^23 */
 #define INTEGRATOR_LIMIT 4194304.0          /* Ixx63, 1/16 count */
@@ -43,14 +47,14 @@ static void prime(Motor *m, const int64_t *counts, int i) {
   m->integrator = 0.0;
 }
 
-/* Run one servo cycle; return the current, A. */
-static double close_loop(Motor *m, const int64_t *counts, int i, bool stepped) {
+/* Run the servo, `cycles` after it was last run; return the current, A. */
+static double close_loop(Motor *m, const int64_t *counts, int i, bool stepped, double cycles) {
   const double scale = 32.0 * m->ixx08;
   const double limit = INTEGRATOR_LIMIT * 2.0 * m->ixx08 * INTEGRATOR_UNITS;
   const double command = floor((m->start + (stepped ? m->step : 0.0)) * scale + 0.5);
-  const double command_velocity = command - m->command;
+  const double command_velocity = (command - m->command) / cycles;
   const double feedback = (double)counts[VELOCITY[i]] * 32.0 * m->ixx09;
-  const double velocity = feedback - m->velocity_feedback;
+  const double velocity = (feedback - m->velocity_feedback) / cycles;
   const double error = command - (double)counts[POSITION[i]] * scale;
   const double damping = (m->ixx32 * command_velocity - m->ixx31 * velocity) / 128.0;
   const double total = error + damping + m->integrator / INTEGRATOR_UNITS;
@@ -60,12 +64,25 @@ static double close_loop(Motor *m, const int64_t *counts, int i, bool stepped) {
   if (fabs(output) >= OUTPUT_LIMIT) {
     output = copysign(OUTPUT_LIMIT, output); /* and the integrator is held */
   } else if (command_velocity == 0.0) {      /* Ixx34 is 1: no integration during a commanded move */
-    m->integrator = fmax(-limit, fmin(limit, m->integrator + m->ixx33 * error));
+    m->integrator = fmax(-limit, fmin(limit, m->integrator + m->ixx33 * error * cycles));
   }
   return floor(output * 256.0) / 256.0 * m->peak_current / 32768.0;
 }
 
+/* Whether time has begun anew: two messages in a row of tick 0, or of long before the newest. */
+static bool began_anew(uint64_t tick, uint64_t next_tick) {
+  static int far_back = 0;
+  const bool back = next_tick > 0 && (tick == 0 || tick + HORIZON < next_tick);
+  far_back = back ? far_back + 1 : 0;
+  return far_back > 1;
+}
+
 int main(int argc, char **argv) {
+  const bool real_time = argc > 1 && strcmp(argv[1], "--realtime") == 0;
+  if (real_time) {
+    argv += 1;
+    argc -= 1;
+  }
   if (argc != 2 + 9 * MOTORS) {
     fprintf(stderr, "pmac: %d numbers expected\n", 1 + 9 * MOTORS);
     return 2;
@@ -102,6 +119,7 @@ int main(int argc, char **argv) {
   waferbot_msgs__msg__Stop__init(&reason);
 
   uint64_t next_tick = 0;
+  bool begun = false;
   int64_t spoke_ns = 0;
   while (!asked_to_end) {
     wait_for_messages(&wait_set, heard, SUBSCRIPTIONS);
@@ -111,22 +129,38 @@ int main(int argc, char **argv) {
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
     }
-    while (take(&heard[ENCODERS], &counts)) {
-      if (counts.tick != next_tick || counts.valid != 0xf) {
-        continue; /* no servo tick, or a repetition */
+    bool more = take(&heard[ENCODERS], &counts);
+    while (more) {
+      if (counts.valid != 0xf) {
+        more = take(&heard[ENCODERS], &counts);
+        continue;
       }
+      if (real_time && began_anew(counts.tick, next_tick)) {
+        next_tick = 0;
+        begun = false;
+      }
+      const waferbot_msgs__msg__Encoders newest = counts; /* its frame_id is empty: nothing is shared */
+      more = take(&heard[ENCODERS], &counts);
+      if (real_time ? more || newest.tick < next_tick : newest.tick != next_tick) {
+        continue; /* in real time, there are newer ones; else no servo tick; or a repetition */
+      }
+      const uint64_t tick = newest.tick / SERVO_TICKS * SERVO_TICKS;
+      const double cycles = begun ? (double)((tick + SERVO_TICKS - next_tick) / SERVO_TICKS) : 1.0;
       for (int i = 0; i < MOTORS; ++i) {
-        if (next_tick == 0) {
-          prime(&motors[i], counts.counts, i);
+        if (!begun) {
+          prime(&motors[i], newest.counts, i);
         }
-        answer.current[i] = close_loop(&motors[i], counts.counts, i, next_tick >= step_tick);
+        answer.current[i] = close_loop(&motors[i], newest.counts, i, tick >= step_tick, cycles);
       }
-      answer.header.stamp = counts.header.stamp;
-      answer.tick = counts.tick;
+      begun = true;
+      const uint64_t stamp_ns = tick * 500000 / 9;
+      answer.header.stamp.sec = (int32_t)(stamp_ns / 1000000000);
+      answer.header.stamp.nanosec = (uint32_t)(stamp_ns % 1000000000);
+      answer.tick = tick;
       answer.valid = 0x7;
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
-      next_tick += SERVO_TICKS;
+      next_tick = tick + SERVO_TICKS;
     }
     while (take(&heard[STOP], &reason)) {
       fprintf(stderr, "pmac: %s stopped: %s\n", reason.node.data, reason.reason.data);

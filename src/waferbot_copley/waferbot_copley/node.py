@@ -39,6 +39,12 @@ from waferbot_lockstep.device_input import DeviceInput
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import LOCKSTEP, LockstepNode, Trouble, run_node
 
+SHARE_OF_PATIENCE = 0.5
+"""
+Of the time that the plant waits for voltages, the share that may be spent waiting for a command: the
+current loop must not stand still because the position loop does.
+"""
+
 
 class CopleyNode(LockstepNode):
     """Current controller of the axes that it is told to drive."""
@@ -71,6 +77,7 @@ class CopleyNode(LockstepNode):
         self._model_state = amplifier.initial_state(self._model_parameters)
         self._tick = 0
         self._waiting_tick: int | None = None  # in real time, the tick that lacks an input
+        self._waiting_since_s = 0.0
         self._voltage = np.zeros(3 * len(AXES))
         self._accumulator = np.zeros(len(AXES))
         self._setpoint = np.zeros(len(AXES))
@@ -131,8 +138,8 @@ class CopleyNode(LockstepNode):
         """
         In real time, close the loop of the newest tick that has not been answered.
 
-        Commands and counts of that tick are waited for, but only until the plant is at the next one:
-        then it has not waited for us, and we no longer wait for whoever kept us waiting.
+        Commands and counts of that tick are waited for, but not so long that the plant would go on
+        without our voltages (see `on_time`), nor beyond the tick at which the plant is.
         """
         currents = self.inboxes[PHASE_CURRENTS]
         tick = currents.newest_tick
@@ -140,20 +147,41 @@ class CopleyNode(LockstepNode):
             now_s = time.monotonic()
             for box in self._inputs:
                 if self._waiting_tick is not None and self._waiting_tick < tick:
-                    box.give_up(self._waiting_tick)
+                    self.give_up(box, self._waiting_tick)
                 if not box.gives_time:
                     box.reach(tick, now_s)
             self._waiting_tick = None
         if tick < self._tick or not all(box.complete for box in self._inputs):
             return
         if self.patience_s > 0.0 and any(box.waits_for(tick) for box in self._inputs):
-            self._waiting_tick = tick
+            if self._waiting_tick != tick:
+                self._waiting_tick, self._waiting_since_s = tick, time.monotonic()
             return
+        self._answer(tick)
+
+    def _answer(self, tick: int) -> None:
+        """In real time, close the loop of a tick with what is held."""
         self._waiting_tick = None
         self._tick = tick
         self._close_loop()
         if self.end_tick and self._tick >= self.end_tick:
             self.finish()
+
+    def sleep_time_s(self) -> float | None:
+        """Return the wall time until a command or counts have been waited for in vain."""
+        if self._waiting_tick is None:
+            return None
+        due_s = self._waiting_since_s + SHARE_OF_PATIENCE * self.patience_s
+        return due_s - time.monotonic()
+
+    def on_time(self) -> None:
+        """Wait no longer for what does not come, and answer the plant."""
+        wait_s = self.sleep_time_s()
+        if self._waiting_tick is None or wait_s is None or wait_s > 0.0:
+            return
+        for box in self._inputs:
+            self.give_up(box, self._waiting_tick)
+        self._answer(self._waiting_tick)
 
     def begin_anew(self) -> None:
         """Forget currents and integrators of the plant that was there before."""

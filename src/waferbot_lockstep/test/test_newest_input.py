@@ -122,11 +122,27 @@ def test_before_the_time_is_known_the_newest_is_kept_for_it():
     assert box.arrivals.trouble == 1, 'it came before us, but its tick was over'
 
 
-def test_whoever_keeps_us_waiting_is_not_waited_for_until_heard_again():
+def test_after_a_message_that_never_came_the_next_is_waited_for():
     box = voltages_at(5)
     box.reach(6, 0.0)
     assert box.waits_for(6)
-    box.give_up(6)
+    box.give_up(6, gone=0)
+    assert not box.waits_for(6)
+    box.reach(7, 0.0)
+    assert box.waits_for(7)
+    held = NewestInput(CURRENT_COMMAND, TIMING, ALL_AXES)
+    held.reach(0, 0.0)
+    push(held, 0, values=(0.0,) * 3)
+    held.give_up(8, gone=0)
+    assert not held.waits_for(15), 'of the same servo cycle'
+    assert held.waits_for(16)
+
+
+def test_whoever_is_gone_is_not_waited_for_until_heard_again():
+    box = voltages_at(5)
+    box.reach(6, 0.0)
+    assert box.waits_for(6)
+    box.give_up(6, gone=ALL_AXES)
     assert not box.waits_for(6)
     box.reach(7, 0.0)
     assert not box.waits_for(7)

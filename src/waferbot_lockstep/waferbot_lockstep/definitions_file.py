@@ -18,7 +18,19 @@ from ament_index_python.packages import get_package_share_directory
 
 from waferbot_lockstep import atomic_files
 from waferbot_lockstep.package_data import package_data
-from waferbot_lockstep.standard_messages import CLOCK, FLOAT64, JOINT_STATES, ROBOT_DESCRIPTION
+from waferbot_lockstep.standard_messages import (
+    CLOCK,
+    FLOAT64,
+    JOINT_STATES,
+    ROBOT_DESCRIPTION,
+    TRANSFORMS,
+)
+
+TF_MESSAGE = (
+    'geometry_msgs/TransformStamped[] transforms\n',
+    'RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087',
+)
+"""Text and hash of the type of transforms, which is not among PyPI's wheels."""
 
 _SEPARATOR = '=' * 80
 _FIELD = re.compile(r'^\s*([A-Za-z]\w*(?:/\w+)*)(?:\[[^\]]*\])?\s+\w+')
@@ -28,7 +40,8 @@ def definitions_text() -> str:
     """Return what the file must hold: all of waferbot_msgs, and the standard ones of recordings."""
     own = Path(get_package_share_directory('waferbot_msgs')) / 'msg'
     names = [f'waferbot_msgs/msg/{path.stem}' for path in sorted(own.glob('*.msg'))]
-    names += [type_name for _, type_name in (CLOCK, JOINT_STATES, ROBOT_DESCRIPTION)] + [FLOAT64]
+    standard = (CLOCK, JOINT_STATES, ROBOT_DESCRIPTION, TRANSFORMS)
+    names += [*(type_name for _, type_name in standard), FLOAT64]
     found = {
         name: {'hash': _type_hash(name), 'text': _full_text(name).split('\n')} for name in names
     }
@@ -42,7 +55,8 @@ def _installed(type_name: str, suffix: str) -> str:
 
 
 def _full_text(type_name: str) -> str:
-    definitions = {type_name: _installed(type_name, '.msg')}
+    is_tf = type_name == TRANSFORMS[1]
+    definitions = {type_name: TF_MESSAGE[0] if is_tf else _installed(type_name, '.msg')}
     pending = [type_name]
     while pending:
         current = pending.pop(0)
@@ -59,6 +73,8 @@ def _full_text(type_name: str) -> str:
 
 
 def _type_hash(type_name: str) -> str:
+    if type_name == TRANSFORMS[1]:
+        return TF_MESSAGE[1]
     (found,) = [
         entry['hash_string']
         for entry in json.loads(_installed(type_name, '.json'))['type_hashes']

@@ -15,7 +15,7 @@ settings. It is YAML's safe subset, with five differences:
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -165,6 +165,22 @@ def _mark(
     elif node.tag == 'tag:yaml.org,2002:int' and abs(loader.construct_object(node)) > LARGEST:
         line = node.start_mark.line + 1
         raise UserError(f'{source}, line {line}: {key_text(key)}: {node.value[:20]} is too large')
+
+
+def first_complaint(errors: Iterable[Any]) -> Any:
+    """
+    Return the error of a JSON schema to tell first, None if there is none.
+
+    The outermost. Of those of one mapping a key that is not known comes before one that is missing:
+    the former is often the latter, misspelt.
+    """
+    return min(
+        errors,
+        key=lambda found: (
+            len(found.absolute_path), found.validator == 'required', str(found.path),
+        ),
+        default=None,
+    )  # fmt: skip
 
 
 def merge(base: Document, overlay: Document) -> None:

@@ -109,7 +109,8 @@ class NewestInput(TopicInput):
         """Wait for a first message again, as time begins anew; the account goes on."""
         self.now = -1
         self._newest = [-1] * len(self.topic.places)
-        self._given_up = 0  # places that are not waited for until they are heard again
+        self._gone = 0  # places that are not waited for until they are heard again
+        self._passed = [-1] * len(self.topic.places)  # what was due when they were last waited for
         self._gaps: dict[int, int] = {}  # tick: places that were passed over there
         self._held_back: list[tuple[int, int, Sequence[float]]] = []
         self._far_back = 0  # messages in a row from far before what is held
@@ -142,16 +143,22 @@ class NewestInput(TopicInput):
         """Tell whether a place that answers as a rule lacks the message that is due by `tick`."""
         due = tick - tick % self.spacing
         for place in self._places:
-            if self._newest[place] < due and not self._given_up >> place & 1:
+            if max(self._newest[place], self._passed[place]) < due and not self._gone >> place & 1:
                 return True
         return False
 
-    def give_up(self, tick: int) -> None:
-        """Wait no longer for the places that are behind `tick`, until they are heard again."""
+    def give_up(self, tick: int, gone: int) -> None:
+        """
+        Wait no longer for the message that is due by `tick`, of the places that lack it.
+
+        The next one is waited for again, or else a single message that was lost would leave its sender
+        behind; but none of the places in the mask `gone`, until they are heard again.
+        """
         due = tick - tick % self.spacing
         for place in self._places:
             if self._newest[place] < due:
-                self._given_up |= 1 << place
+                self._passed[place] = due
+                self._gone |= gone & 1 << place
 
     def reach(self, tick: int, now_s: float) -> None:
         """Say that the receiver stands at `tick` since wall time `now_s`; use what was held for it."""
@@ -215,7 +222,7 @@ class NewestInput(TopicInput):
             age = self.now - tick
             reached_s = self._reached_s[(tick if age < HORIZON else self.now + 1) % HORIZON]
             self.arrivals.came_after(max(0.0, now_s - reached_s))
-        self._given_up &= ~new
+        self._gone &= ~new
         self._far_back = 0
         self.keep(new, values)
         return True

@@ -344,9 +344,11 @@ class LockstepNode(Node):
         if self.exchange.takes(name, self.inboxes[topic].needed):
             self.exchange.listen(name, take, decode)
         else:
-            self.create_subscription(
-                message_class(topic), topic.name, on_message, lockstep_qos(), raw=True
-            )
+            # In real time what the plant says counts only while it is new. Who worked off all that came
+            # while it was away would answer ticks long past, and fall further behind meanwhile.
+            newest = self.timekeeping == REALTIME and self.inboxes[topic].gives_time
+            qos = lockstep_qos(1) if newest else lockstep_qos()
+            self.create_subscription(message_class(topic), topic.name, on_message, qos, raw=True)
 
     def _own_exchange(self) -> Exchange:
         """Return the exchange of a node that has a process to itself."""
@@ -460,6 +462,15 @@ class LockstepNode(Node):
             f'{topic.publisher} is gone: topic {topic.name} ({", ".join(silence_s)}) is silent for '
             f'{max(silence_s.values()):.1f} s; its last values are held'
         )
+
+    def give_up(self, inbox: NewestInput, tick: int) -> None:
+        """In real time, wait no longer for what is due by `tick`, nor ever for peers that are gone."""
+        timeout_s = self.get_parameter('peer_timeout_s').value
+        now_s, gone = time.monotonic(), 0
+        for (topic, place), heard_s in self._last_heard_s.items():
+            if topic is inbox.topic and now_s - heard_s > timeout_s:
+                gone |= 1 << place
+        inbox.give_up(tick, gone)
 
     def _check_silence(self, inbox: Any, place: int, silence_s: float) -> None:
         timeout_s = self.get_parameter('peer_timeout_s').value

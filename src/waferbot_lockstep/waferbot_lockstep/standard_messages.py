@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-The standard messages of the twin as bytes: `JointState`, `Clock`, and the robot's description.
+The standard messages of the twin as bytes: `JointState`, `Clock`, the robot's description, transforms.
 
 The plant node publishes these bytes and the in-process runner records the same, so that both give
-the same file. CDR as in `waferbot_lockstep.wire`.
+the same file. Transforms are made by whoever records: PyPI has no wheel of tf2_msgs, with which a node
+could publish them. CDR as in `waferbot_lockstep.wire`.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND
 from waferbot_lockstep.wire import LITTLE_ENDIAN
@@ -21,6 +23,10 @@ ROBOT_DESCRIPTION = ('robot_description', 'std_msgs/msg/String')
 """Latched: said once, kept for whoever comes later."""
 
 JOINT_STATES = ('joint_states', 'sensor_msgs/msg/JointState')
+
+TRANSFORMS = ('tf', 'tf2_msgs/msg/TFMessage')
+FIXED_TRANSFORMS = ('tf_static', 'tf2_msgs/msg/TFMessage')
+"""Latched. Between frames that do not move in one another."""
 
 FLOAT64 = 'std_msgs/msg/Float64'
 """Of the topics of an overlay, measured beside simulated."""
@@ -60,8 +66,32 @@ def joint_state_message(
     return LITTLE_ENDIAN + bytes(body)
 
 
+@dataclass(frozen=True)
+class Transform:
+    """Where the frame `child` is in the frame `parent`: translation (m), rotation as x, y, z, w."""
+
+    parent: str
+    child: str
+    translation: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+
+def transforms_message(stamp_ns: int, transforms: Sequence[Transform]) -> bytes:
+    """Return a `TFMessage`."""
+    stamp = struct.pack('<iI', *divmod(stamp_ns, NANOSECONDS_PER_SECOND))
+    body = bytearray(struct.pack('<I', len(transforms)))
+    for one in transforms:
+        _align(body, 4)
+        body += stamp
+        _append_string(body, one.parent)
+        _append_string(body, one.child)
+        _align(body, 8)
+        body += struct.pack('<7d', *one.translation, *one.rotation)
+    return LITTLE_ENDIAN + bytes(body)
+
+
 def stamp_of(message: bytes) -> int:
-    """Return the stamp, in nanoseconds, of a message that begins with one (both of the above do)."""
+    """Return the stamp, in nanoseconds, of a `Clock` or `JointState`, which begin with one."""
     sec, nanosec = struct.unpack_from('<iI', message, len(LITTLE_ENDIAN))
     return sec * NANOSECONDS_PER_SECOND + nanosec
 

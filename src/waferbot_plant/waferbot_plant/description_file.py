@@ -15,7 +15,15 @@ import jsonschema
 import yaml
 
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, Key, key_text, merge, parse, read
+from waferbot_lockstep.marked_yaml import (
+    Document,
+    Key,
+    first_complaint,
+    key_text,
+    merge,
+    parse,
+    read,
+)
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant.description import DAMPING, STATES, Description
@@ -168,10 +176,7 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
         _section_is_valid(name, pickle.dumps(section)) for name, section in data.items()
     ):
         return
-    errors = jsonschema.Draft202012Validator(_SCHEMA).iter_errors(data)
-    error = min(
-        errors, key=lambda found: (len(found.absolute_path), str(found.path)), default=None
-    )
+    error = first_complaint(jsonschema.Draft202012Validator(_SCHEMA).iter_errors(data))
     if error is None:
         return
     key = tuple(error.absolute_path)

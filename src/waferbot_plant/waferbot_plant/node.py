@@ -4,8 +4,8 @@ The plant as a ROS 2 node: terminal voltages in, encoder counts and measured cur
 
 The plant keeps the time of the twin. In lock-step it goes to the next tick when the voltages of this
 one are there. In real time it follows the wall clock: it waits for the voltages of a tick too, but no
-longer than `patience_s`, then it goes on with the newest and waits no more until they are heard again.
-So amplifiers that are alive but slow make sim time slow, which is told; those that are gone do not.
+longer than `patience_s`, then it takes that tick with the newest. So amplifiers that are alive but slow
+make sim time slow, which is told; those that are silent for `peer_timeout_s` are not waited for.
 
 Service `~/pause` stops and continues time; a twin that is paused at tick 0 (parameter `start_paused`)
 waits there with all its nodes connected, so that nobody misses the beginning. Where ROS has the package
@@ -201,7 +201,7 @@ class PlantNode(LockstepNode):
             return
         in_vain = self._waits_for_voltages()
         if in_vain:
-            self.inboxes[PHASE_VOLTAGES].give_up(self._tick)
+            self.give_up(self.inboxes[PHASE_VOLTAGES], self._tick)
         longest_s = 0.0 if in_vain else LONGEST_LAG_S
         self._pace.come_to(self._tick + 1, time.monotonic(), longest_s)
         self._advance()

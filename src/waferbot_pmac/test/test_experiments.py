@@ -163,6 +163,7 @@ def test_acceleration_times_are_whole_milliseconds():
         ('duration_s: 1\nmotion: {y_linear: {kind: constant}}', ['name is missing']),
         ('name: a\nduration_s: 0\nmotion: {y_linear: {kind: constant}}', ['line 2', 'duration_s']),
         ('name: a\nduration_s: 1\n', ['motion or program']),
+        ('name: a\nduraton_s: 1\nmotion: {}', ['line 2', 'duraton_s', "'duration_s'"]),
         ('name: a\nduration_s: 1\nmotoin: {}', ['line 3', 'motoin', "'motion'"]),
         ('name: a\nduration_s: 1\nmotion:\n  z: {kind: constant}', ['line 4', 'z']),
         ('name: a\nduration_s: 1\nmotion:\n  y_linear:\n    kind: stp', ['line 5', 'stp', 'step']),

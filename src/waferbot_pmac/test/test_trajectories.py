@@ -302,3 +302,14 @@ def test_rapid_without_motion_stays():
     times = [trajectories.acceleration(0.05, 0.01)]
     paths = trajectories.rapid([3.0], [3.0], [100.0], times, [1e6])
     assert (paths[0].at(np.linspace(0.0, 1.0, 20)) == 3.0).all()
+
+
+def test_a_motor_is_brought_to_rest_evenly():
+    for velocity, deceleration in ((3.0, 7.0), (-0.5, 40.0), (0.0, 1.0)):
+        way = trajectories.brought_to_rest(velocity, deceleration, 1e-3)
+        assert way[0] == 0.0
+        assert way[-1] == pytest.approx(np.sign(velocity) * velocity**2 / (2.0 * deceleration))
+        speed = np.diff(way) / 1e-3
+        assert np.all(np.abs(speed) <= abs(velocity))
+        assert np.all(np.abs(np.diff(speed, 2)[:-1]) < 1e-6 * deceleration)
+        assert len(way) == np.ceil(abs(velocity) / deceleration / 1e-3) + 1

@@ -100,6 +100,7 @@ I_VARIABLES: tuple[Parameter, ...] = (
         LARGEST_24_BIT,
         'Warning following error: a flag is set above it; 0 switches the check off',
     ),
+    _real('Ixx15', 0.25, 'counts/ms^2', 1e-9, 1e6, 'Deceleration after an abort'),
     _real('Ixx16', 32.0, 'counts/ms', 1e-6, 1e6, 'Maximum velocity of programmed moves'),
     _real('Ixx17', 0.5, 'counts/ms^2', 1e-9, 1e6, 'Maximum acceleration of LINEAR moves'),
     _real('Ixx19', 0.15625, 'counts/ms^2', 1e-9, 1e6, 'Maximum acceleration of jog and RAPID'),

@@ -5,7 +5,8 @@ The PMAC as a ROS 2 node: counts in, current commands out.
 Every I-variable is a parameter of the node (`y_linear.Ixx30`, ...), with the manual's meaning and
 range; those that the controller lets you change with the loop closed can be changed while it runs
 and act from the next servo cycle. The action `run_experiment` runs a motion from wherever the axes
-are commanded to be; the parameter `experiment` names the one that begins at tick 0.
+are commanded to be; when it is cancelled, Ixx15 brings the motors to rest. The parameter `experiment`
+names the one that begins at tick 0.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.action import ActionServer, GoalResponse
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
 
@@ -39,6 +40,10 @@ from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
 from waferbot_pmac.killed import KilledMotors
+from waferbot_pmac.trajectories import brought_to_rest
+
+CANCELLED = 'cancelled: the motors were brought to rest'
+MILLISECONDS = 1000.0  # per second; Ixx15 and Ixx16 are per ms^2 and per ms
 
 FEEDBACK_CYCLES = 225
 """Servo cycles between two feedback messages of a running experiment (0.1 s)."""
@@ -77,6 +82,27 @@ class Motion:
         """Tell whether the commanded positions stay as they are from `cycle` on."""
         return cycle - self.first_cycle >= self._last_change
 
+    def aborted(self, cycle: int, parameters: np.ndarray, servo_hz: float) -> Motion:
+        """
+        Return the motion that brings the motors to rest from where they are commanded at `cycle`.
+
+        By Ixx15, from the commanded velocity; what is faster than Ixx16 was a jump, and has none.
+        """
+        now = self.commanded(cycle)
+        per_s = (now - self.commanded(max(cycle - 1, self.first_cycle))) * servo_hz
+        per_s[np.abs(per_s) > parameters['Ixx16'][0] * MILLISECONDS] = 0.0
+        ways = [
+            brought_to_rest(velocity, deceleration * MILLISECONDS**2, 1.0 / servo_hz)
+            for velocity, deceleration in zip(per_s, parameters['Ixx15'][0], strict=True)
+        ]
+        longest = max(len(way) for way in ways)
+        positions = np.column_stack(
+            [np.pad(way, (0, longest - len(way)), mode='edge') for way in ways]
+        )
+        stopping = Motion(self.experiment, positions, now, cycle)
+        stopping.peak_following_error = self.peak_following_error
+        return stopping
+
     def over(self, cycle: int) -> bool:
         """Tell whether `cycle` is the last of the experiment, or behind it."""
         return cycle - self.first_cycle >= len(self.positions) - 1
@@ -113,6 +139,7 @@ class PmacNode(LockstepNode):
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)
         self._goal: Any = None
+        self._stopping = False  # its motors are being brought to rest, as it was cancelled
         self._goal_done: Future | None = None  # its result: why it failed, '' if it did not
         self._actions = ActionServer(
             self,
@@ -120,6 +147,7 @@ class PmacNode(LockstepNode):
             'run_experiment',
             execute_callback=self._execute,
             goal_callback=self._consider,
+            cancel_callback=lambda goal: CancelResponse.ACCEPT,
         )
 
     @property
@@ -273,7 +301,9 @@ class PmacNode(LockstepNode):
         result.last_tick = max(self.tick - self.timing.servo_divider, 0)
         result.peak_following_error = motion.peak_following_error
         result.message = failure or f'ran {len(motion.positions)} servo cycles'
-        if failure:
+        if failure == CANCELLED:
+            goal.canceled()
+        elif failure:
             goal.abort()
         else:
             goal.succeed()
@@ -291,12 +321,19 @@ class PmacNode(LockstepNode):
             feedback = RunExperiment.Feedback(tick=tick)
             feedback.progress = min(1.0, (done + 1) / len(motion.positions))
             self._goal.publish_feedback(feedback)
-        if motion.over(self._cycle):
-            self._end_goal('')
+        if self._goal.is_cancel_requested and not self._stopping:
+            self._stopping = True
+            self._motion = motion.aborted(
+                self._cycle, self._model_parameters, self.timing.servo_hz
+            )
+            self._compensate(self._motion)
+        elif motion.over(self._cycle):
+            self._end_goal(CANCELLED if self._stopping else '')
 
     def _end_goal(self, failure: str) -> None:
         """Let the experiment that is being run end, with why it failed or ''."""
         goal_done, self._goal, self._goal_done = self._goal_done, None, None
+        self._stopping = False
         if goal_done is not None:
             goal_done.set_result(failure)
 

@@ -360,6 +360,19 @@ def jog(
     return LinearPath(np.array([[start], [end]]), np.array([move_time_s]), used)
 
 
+def brought_to_rest(velocity: float, deceleration: float, cycle_s: float) -> Floats:
+    """
+    Return the way of a motor that is stopped, one position a cycle, from 0 at the first on.
+
+    It decelerates evenly from `velocity` (per s) by `deceleration` (per s^2); the last position is where
+    it stands, velocity^2 / (2 deceleration) away.
+    """
+    stop_s = abs(velocity) / deceleration
+    times = np.minimum(np.arange(np.ceil(stop_s / cycle_s) + 1) * cycle_s, stop_s)
+    way: Floats = velocity * times - 0.5 * np.sign(velocity) * deceleration * times**2
+    return way
+
+
 def rapid(
     start: Sequence[float],
     end: Sequence[float],

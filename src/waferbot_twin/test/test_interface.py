@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -162,19 +161,3 @@ def test_exit_codes(conditions, unexplained, causes, improvement, code):
         gains=pd.DataFrame({'improvement_percent': [30.0, improvement]}),
     )
     assert exit_code(result, conditions) == code
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_the_notebook_runs(tmp_path):
-    import nbformat
-
-    NotebookClient = pytest.importorskip('nbclient').NotebookClient
-
-    file = Path(__file__).parents[3] / 'docs' / 'notebooks' / 'diagnose.ipynb'
-    notebook = nbformat.read(file, as_version=4)
-    assert all(not cell.get('outputs') for cell in notebook.cells)
-    NotebookClient(
-        notebook, timeout=800, resources={'metadata': {'path': str(tmp_path)}}
-    ).execute()
-    assert (tmp_path / 'report' / 'report.html').exists()

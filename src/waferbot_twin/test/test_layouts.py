@@ -28,14 +28,14 @@ POSITION_ENCODER = (0, 1, 2)
 
 @pytest.fixture(scope='module')
 def messages(tmp_path_factory):
-    """The first message of every topic of a recording, and the type of each topic."""
+    """The first message of every topic of a recording but for transforms, which no plot shows."""
     out = tmp_path_factory.mktemp('layouts') / 'run'
     inprocess.run(make_plan('rigid', 'step', 0.01, 0), out, False, lambda done, total: None)
     content = read_content([recording_file(out)])
     return {
         topic: deserialize_message(data[0], message_type(content.types[topic]))
         for topic, data in content.messages.items()
-        if data
+        if data and topic not in ('/tf', '/tf_static')
     }
 
 

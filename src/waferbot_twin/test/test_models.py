@@ -62,6 +62,16 @@ def test_model_is_laid_over_the_settings_of_the_packages(tmp_path: Path) -> None
         ('copley: {ros__parameters: {y_linear: {bus_volts: 48}}}', "did you mean 'bus_voltage'?"),
         ('copley: {ros__parameters: {y_linear: 48}}', 'must be a mapping of names to values'),
         ('- plant', 'line 1: must be a mapping'),
+        ('/**/pmak: {ros__parameters: {}}', "did you mean 'pmac'?"),
+        (
+            'descripton: flexible',
+            "did you mean 'description'? It stands below /**/plant: ros__parameters:",
+        ),
+        ('damping: improved', 'copley); It stands below /**/plant: ros__parameters:'),
+        (
+            'name: mine\nbodies: {}\njoints: {}',
+            'line 1: this describes a machine alone; a model says which one with',
+        ),
     ],
 )
 def test_mistakes_are_told_with_file_and_line(tmp_path: Path, text: str, message: str) -> None:

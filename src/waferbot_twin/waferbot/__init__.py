@@ -20,7 +20,7 @@ are `y_linear`, `x_rotate` and `y_rotate`.
 import waferbot_twin  # noqa: F401  first of all: linear algebra on one thread
 from waferbot.diagnosis import Diagnosis, diagnose
 from waferbot.identification import Identification, identify
-from waferbot.logs import Log, load_logs
+from waferbot.logs import Imported, Log, import_log, load_logs
 from waferbot.model import Model, load_model
 from waferbot.simulation import Run, simulate
 from waferbot.synthesis import Synthesis, synthesize
@@ -31,6 +31,7 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 __all__ = [
     'Diagnosis',
     'Identification',
+    'Imported',
     'Log',
     'Model',
     'Run',
@@ -40,6 +41,7 @@ __all__ = [
     'UserError',
     'diagnose',
     'identify',
+    'import_log',
     'load_logs',
     'load_model',
     'simulate',

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of a machine: recordings with the contract's topics, and logs brought in by `waferbot import`."""
+"""Logs of a machine: recordings with the contract's topics, and logs that were brought in."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,9 @@ import pandas as pd
 from waferbot.model import Model
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.logs.bags import is_bag
+from waferbot_twin.logs.hold import evidence
+from waferbot_twin.logs.load import import_log as import_measured
+from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.recording.reader import recording_files
 from waferbot_twin.residuals.load import load_record, load_records
 from waferbot_twin.residuals.record import Record
@@ -69,7 +72,7 @@ def load_logs(paths: str | Path | Iterable[str | Path]) -> list[Log]:
     """
     Return logs by their folders or files, in their order; one path gives a list of one.
 
-    Raises `UserError` if one does not exist. Logs of other formats (CSV) have to be imported first.
+    Raises `UserError` if one does not exist. `import_log` brings in other formats (CSV).
     """
     several = [paths] if isinstance(paths, (str, Path)) else list(paths)
     logs = [Log(Path(path)) for path in several]
@@ -77,6 +80,71 @@ def load_logs(paths: str | Path | Iterable[str | Path]) -> list[Log]:
         if not log.path.exists() or is_bag(log.path):
             recording_files(log.path)
     return logs
+
+
+@dataclass(frozen=True)
+class Imported:
+    """
+    A log that was brought in, and what was found in it.
+
+    `details` has the samples as they are: `details['x_rotate', 'position'].value`, with `time_s` of
+    their own, in SI units.
+    """
+
+    log: Log
+    details: MeasuredLog = field(repr=False)
+
+    @property
+    def signals(self) -> pd.DataFrame:
+        """
+        One row for each signal.
+
+        `axis`, `kind`, `unit`, `samples`, `rate_hz`, `start_s`, `end_s`, `lowest`, `highest`,
+        `resolution` (its smallest step), `gaps` (how many stretches without a sample), `held` (whether a
+        value stands until the next sample).
+        """
+        columns = ['axis', 'kind', 'unit', 'samples', 'rate_hz', 'start_s', 'end_s', 'lowest',
+                   'highest', 'resolution', 'gaps', 'held']  # fmt: skip
+        return pd.DataFrame(self.details.describe()['signals'], columns=columns)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What was left out, put in order, or looks wrong, and how the drive goes between samples."""
+        return tuple(str(one) for one in (*self.details.findings, *evidence(self.details)))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return `signals`."""
+        return self.signals
+
+
+def import_log(
+    file: str | Path,
+    out: str | Path,
+    mapping: str | Path | None = None,
+    *,
+    machine: str | Path | None = None,
+    part: int | None = None,
+    name: str | None = None,
+    force: bool = False,
+) -> Imported:
+    """
+    Bring in a measured log, as `waferbot import` does, and keep it in the new folder `out`.
+
+    `file` is a text file (CSV, a drive's trace), an array, Parquet, JSON or a recording; `mapping` says
+    which column is which signal (docs/log_mapping.md), `machine` is the description behind counts and
+    names of joints, `part` stands for `$part` in the columns of the mapping. Raises `UserError` if
+    nothing usable is in it, or the folder exists and `force` is not given.
+    """
+    details = import_measured(
+        Path(file),
+        Path(out),
+        mapping,
+        machine=None if machine is None else str(machine),
+        part=part,
+        name=name,
+        force=force,
+    )
+    return Imported(Log(Path(out)), details)
 
 
 def records_of(logs: Sequence[Log], model: Model) -> list[Record]:

@@ -188,10 +188,7 @@ def _sections(document: Document) -> dict[str, dict[str, Any]]:
     for key, section in document.data.items():
         node = str(key).rsplit('/', 1)[-1]
         if node not in NODES:
-            raise UserError(
-                f'{document.place((key,))}: section {key!r} is for no node of the twin '
-                f'(nodes: {", ".join(NODES)})'
-            )
+            raise UserError(f'{document.place((key,))}: {_no_section(document, key, node)}')
         if not isinstance(section, dict) or set(section) != {'ros__parameters'}:
             raise UserError(
                 f'{document.place((key,))}: section {key!r} must have the one key ros__parameters'
@@ -202,6 +199,22 @@ def _sections(document: Document) -> dict[str, dict[str, Any]]:
         place = (key, 'ros__parameters')
         _lay_over(sections.setdefault(node, {}), _known(document, place, node, parameters))
     return sections
+
+
+def _no_section(document: Document, key: str, node: str) -> str:
+    """Return what is wrong with a section of a model that is for no node."""
+    if not DESCRIPTION_KEYS.isdisjoint(document.data):
+        return (
+            'this describes a machine alone; a model says which one with '
+            '/**/plant: {ros__parameters: {description: FILE}}'
+        )
+    wrong = f'section {key!r} is for no node of the twin (nodes: {", ".join(NODES)})'
+    for owner in NODES:
+        inner = (*_OF_NODE[owner], *(AXES if owner in _OF_AXIS else ()))
+        near = ';' if key in inner else did_you_mean(key, inner)
+        if near:
+            return f'{wrong}{near} It stands below /**/{owner}: ros__parameters:'
+    return wrong + did_you_mean(node, NODES)
 
 
 def _known(

@@ -54,9 +54,16 @@ def losses(seconds: float, seed: int, folder: Path) -> dict[str, Any]:
         controller = nodes['pmac']
         begun = seen.wait(lambda: seen.tick['encoders'] > 0, START_S)
         begun_s = time.monotonic()
-        heard = seen.wait(
-            lambda: '\n' in controller.output or bool(ended(nodes)), seconds + START_S
-        )
+        first_fault: dict[str, Any] = {}
+
+        def over() -> bool:
+            status = seen.statuses.get('copley')
+            if not first_fault and status and any(one in status.message for one in CAUSES):
+                first_fault['wall time [s]'] = round(time.monotonic() - begun_s, 1)
+                first_fault['tick'], first_fault['said'] = seen.tick['encoders'], status.message
+            return '\n' in controller.output or bool(ended(nodes))
+
+        heard = seen.wait(over, seconds + START_S)
         took_s = time.monotonic() - begun_s
         troubles = ended(nodes)
         seen.wait(lambda: False, SETTLE_S)
@@ -80,6 +87,7 @@ def losses(seconds: float, seed: int, folder: Path) -> dict[str, Any]:
         'done': done,
         'told': told,
         'said': said,
+        'first fault': first_fault,
         'wall time [s]': round(took_s, 1),
         'x real time': round(ticks / 18000.0 / took_s, 3),
         'exit codes': codes,

@@ -14,7 +14,7 @@ from typing import Any
 import jsonschema
 
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, Key, parse
+from waferbot_lockstep.marked_yaml import Document, Key, first_complaint, parse
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 
@@ -104,7 +104,8 @@ def _validator() -> jsonschema.protocols.Validator:
 
 def _checked(text: str, source: str) -> Experiment:
     document = parse(text, source)
-    for error in _validator().iter_errors(document.data):
+    error = first_complaint(_validator().iter_errors(document.data))
+    if error is not None:
         raise UserError(_explained(error, document))
     data = document.data
     for path in _not_finite(data, ()):

@@ -15,7 +15,6 @@ from pathlib import Path
 
 from rich.table import Table
 
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import print_json, result_console
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.plain_values import significant
@@ -52,17 +51,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def execute(options: argparse.Namespace) -> int:
     """Read, write and tell."""
-    from waferbot_twin.logs.archive import write_archive
     from waferbot_twin.logs.hold import evidence
-    from waferbot_twin.logs.load import load_log
+    from waferbot_twin.logs.load import import_log
 
-    out, source = options.out.resolve(), options.log.resolve()
-    if out == source or out in source.parents:
-        raise UserError(f'--out {options.out} would replace the log itself; choose another folder')
-    log = load_log(
-        options.log, options.mapping, options.model, options.machine, options.part, options.name
+    log = import_log(
+        options.log,
+        options.out,
+        options.mapping,
+        options.model,
+        options.machine,
+        options.part,
+        options.name,
+        options.force,
     )
-    write_archive(log, options.out, options.force)
     spoken = evidence(log)
     if options.json:
         holds = [one.as_dict() for one in spoken]

@@ -60,9 +60,37 @@ COMMANDS = {
 EXIT_OK, EXIT_ERROR, EXIT_INTERRUPTED = 0, 1, 130
 
 
+class Parser(argparse.ArgumentParser):
+    """Answers a misspelt option or choice with the nearest that there is."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Return the arguments; what is left over ends the program, as it does in every parser."""
+        options, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            name = unknown[0].partition('=')[0]
+            parser = self._of_command(getattr(options, 'command', ''))
+            known = parser._option_string_actions if name.startswith('--') else ()
+            parser.error(f'unrecognized arguments: {" ".join(unknown)}{did_you_mean(name, known)}')
+        return options
+
+    def _of_command(self, command: str) -> argparse.ArgumentParser:
+        for action in self._actions:
+            if isinstance(action.choices, dict) and command in action.choices:
+                parser: argparse.ArgumentParser = action.choices[command]
+                return parser
+        return self
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(value, map(str, action.choices or ()))
+            raise
+
+
 def build_parser(chosen: str = '') -> argparse.ArgumentParser:
     """Return the parser of the command line: of all commands the names, of the chosen one everything."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog='waferbot',
         description='Digital twin of a three-axis wafer-handling robot: run it, record it, replay it.',
         epilog='Each command has its own --help.',

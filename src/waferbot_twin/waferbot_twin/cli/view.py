@@ -9,11 +9,12 @@ to this computer alone (127.0.0.1). Ctrl-C ends it.
 from __future__ import annotations
 
 import argparse
+import sys
 import webbrowser
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.cli.console import say
+from waferbot_twin.cli.console import print_json, say
 from waferbot_twin.logs import archive
 from waferbot_twin.recording.reader import read_recording
 
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--no-browser', action='store_true', help='only tell the address, open no browser'
     )
+    parser.add_argument('--json', action='store_true', help='print the address as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
@@ -53,7 +55,11 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.view.server import ViewServer
 
     with ViewServer(ViewContent(recording), options.port) as server:
-        print(server.url, flush=True)
+        if options.json:
+            print_json({'url': server.url})
+        else:
+            print(server.url)
+        sys.stdout.flush()
         if not options.no_browser and not webbrowser.open(server.url):
             say('no browser could be opened; open the address above')
         say('Ctrl-C ends it')

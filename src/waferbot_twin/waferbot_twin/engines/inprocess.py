@@ -39,8 +39,10 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.standard_messages import (
     CLOCK,
+    FIXED_TRANSFORMS,
     JOINT_STATES,
     ROBOT_DESCRIPTION,
+    TRANSFORMS,
     clock_message,
     joint_state_message,
     string_message,
@@ -48,6 +50,7 @@ from waferbot_lockstep.standard_messages import (
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_plant import loads, plant
+from waferbot_plant.frames import Frames
 from waferbot_plant.motors import check_windings
 from waferbot_plant.urdf import urdf
 from waferbot_pmac import compensation, servo
@@ -396,15 +399,20 @@ class SignalRecorder:
             self._wire[topic] = WireFormat(topic.type_name)
         self._standard_topics = standard_topics
         if standard_topics:
-            for name, type_name in (CLOCK, JOINT_STATES, PLANT_STATE):
+            for name, type_name in (CLOCK, JOINT_STATES, TRANSFORMS, PLANT_STATE):
                 writer.add_topic(f'/{name}', type_name)
             self._plant_state = WireFormat(PLANT_STATE[1])
+        self._frames: Frames | None = None
 
     def describe(self, robot: str) -> None:
-        """Write the URDF of the machine, as the plant node says it before tick 0."""
-        name = f'/{ROBOT_DESCRIPTION[0]}'
-        self._writer.add_topic(name, ROBOT_DESCRIPTION[1], latched=True)
-        self._writer.write(name, 0, string_message(robot))
+        """Write what is said before tick 0: the URDF of the machine, and its fixed transforms."""
+        self._frames = Frames.of(robot)
+        for (name, type_name), message in (
+            (ROBOT_DESCRIPTION, string_message(robot)),
+            (FIXED_TRANSFORMS, self._frames.fixed_message()),
+        ):
+            self._writer.add_topic(f'/{name}', type_name, latched=True)
+            self._writer.write(f'/{name}', 0, message)
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
@@ -465,6 +473,14 @@ class SignalRecorder:
             for topic, messages in ((CLOCK, clocks), (JOINT_STATES, joints))
             if messages
         ]
+        if self._frames is not None and len(stamps_ns):
+            transforms = [
+                self._frames.message(stamp, dict(zip(AXES, position, strict=True)))
+                for stamp, position in zip(
+                    stamps_ns.tolist(), signals.joint_position.tolist(), strict=False
+                )
+            ]
+            tables.append(Table.of_messages(f'/{TRANSFORMS[0]}', stamps_ns, transforms))
         told = np.isfinite(signals.loads).all(axis=1)
         if told.any():
             records = self._plant_state.blank(int(told.sum()))

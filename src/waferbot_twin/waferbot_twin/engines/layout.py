@@ -20,6 +20,7 @@ from waferbot_lockstep.contract import (
     SERVO_STATE,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Plan
@@ -134,7 +135,11 @@ def check_names(options: RosOptions) -> None:
     known = [*NODES, *copleys]
     for name in options.without:
         if name not in known:
-            hint = ' (with --copley-per-axis)' if name.startswith('copley_') else ''
+            hint = (
+                ' (with --copley-per-axis)'
+                if name.startswith('copley_')
+                else did_you_mean(name, known)
+            )
             raise UserError(
                 f'--without {name}: the twin has no such node{hint}; it has {", ".join(known)}'
             )

@@ -28,6 +28,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import FAREWELL_S, SIGN_OF_LIFE_PERIOD_S, make_executor
+from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.transport import (
     BUILTIN_TRANSPORTS,
@@ -152,7 +153,10 @@ def _split(plan: Plan, options: RosOptions) -> tuple[dict[str, NodeLayout], dict
     compose = order if options.composed else options.compose
     for name in compose:
         if name not in nodes:
-            raise UserError(f'--compose {name}: this run starts {", ".join(nodes) or "no node"}')
+            raise UserError(
+                f'--compose {name}: this run starts {", ".join(nodes) or "no node"}'
+                f'{did_you_mean(name, nodes)}'
+            )
     inside = {name: nodes[name] for name in order if name in compose}
     return inside, {name: nodes[name] for name in order if name not in compose}
 

@@ -12,7 +12,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_source
-from waferbot_twin.logs.archive import is_archive, read_archive
+from waferbot_twin.logs.archive import is_archive, read_archive, write_archive
 from waferbot_twin.logs.arrays import read_npy, read_variables
 from waferbot_twin.logs.bags import BagColumns, is_bag, joint_state_sources, read_bag
 from waferbot_twin.logs.build import Collected, build, finish
@@ -73,6 +73,30 @@ def load_log(
     collected = build(mapping, log, companion)
     collected.findings += remarks
     return finish(collected, _header(path, [path], mapping, name))
+
+
+def import_log(
+    path: Path,
+    out: Path,
+    mapping: Path | str | LogMapping | None = None,
+    model: str | None = None,
+    machine: str | None = None,
+    part: int | None = None,
+    name: str | None = None,
+    force: bool = False,
+) -> MeasuredLog:
+    """
+    Read a log as `load_log` does, keep it in the folder `out`, and return it.
+
+    Raises `UserError` as `load_log` does, and if `out` is there and `force` is not given, or would
+    replace the log.
+    """
+    written, source = out.resolve(), path.resolve()
+    if written == source or written in source.parents:
+        raise UserError(f'{out} would replace the log itself; choose another folder')
+    log = load_log(path, mapping, model, machine, part, name)
+    write_archive(log, out, force)
+    return log
 
 
 def _read(path: Path, mapping: LogMapping) -> Columns:

@@ -17,7 +17,7 @@ from typing import Any
 import jsonschema
 
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, Key, parse, read
+from waferbot_lockstep.marked_yaml import Document, Key, first_complaint, parse, read
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.logs.columns import Where
@@ -356,10 +356,7 @@ def _check_grammar(document: Document) -> None:
     """Turn the first complaint of the JSON schema into one line for the user."""
     if not isinstance(document.data, dict):
         raise document.error((), 'a mapping file is a mapping of keys to values')
-    errors = _VALIDATOR.iter_errors(document.data)
-    error = min(
-        errors, key=lambda found: (len(found.absolute_path), str(found.path)), default=None
-    )
+    error = first_complaint(_VALIDATOR.iter_errors(document.data))
     if error is None:
         return
     key = tuple(error.absolute_path)

@@ -21,7 +21,6 @@ import yaml
 import zstandard
 from mcap.exceptions import InvalidMagic, McapError
 from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS, PLANT_STATE, Topic
 from waferbot_lockstep.definitions import type_hash
@@ -29,7 +28,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.checked_json import TEXT, WHOLE, checked_json
-from waferbot_twin.recording.chunks import Messages, one_message, parts_of
+from waferbot_twin.recording.chunks import ChunkReader, Messages, one_message, parts_of
 
 _LATEST_NS = 2**63 - 1
 
@@ -189,7 +188,7 @@ def header_of(path: Path) -> Recording:
     attachments = {}
     # What is damaged is told by whoever reads the messages.
     with file.open('rb') as stream, contextlib.suppress(*_DAMAGE):
-        for record in StreamReader(stream, emit_chunks=True).records:
+        for record in ChunkReader(stream).records:
             if isinstance(record, Attachment):
                 attachments[record.name] = record.data.decode('utf-8', 'replace')
     return Recording(path, {}, {}, {}, False, attachments)
@@ -389,7 +388,7 @@ def _read_file(file: Path, content: Content, take: Take, progress: Progress | No
 
     with file.open('rb') as stream:
         try:
-            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True)
+            reader = ChunkReader(stream, validate_crcs=True)
             for record in reader.records:
                 if isinstance(record, Chunk):
                     declared, by_channel = parts_of(record)

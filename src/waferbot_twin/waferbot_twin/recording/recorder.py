@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 from rclpy.clock import Clock as WallClock
 from rclpy.clock import ClockType
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -43,13 +45,16 @@ from waferbot_lockstep.node import (
 )
 from waferbot_lockstep.standard_messages import (
     CLOCK,
+    FIXED_TRANSFORMS,
     JOINT_STATES,
     ROBOT_DESCRIPTION,
+    TRANSFORMS,
     stamp_of,
 )
 from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
+from waferbot_plant.frames import Frames
 from waferbot_twin.failures import Failures
 from waferbot_twin.recording.completeness import Account
 from waferbot_twin.recording.writer import RecordingWriter
@@ -115,6 +120,8 @@ class Recorder(Node):
         )
         self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1, PLANT_STATE[0]: -1}
         self._described = False
+        self._frames: Frames | None = None
+        self._not_placed: list[bytes] = []  # joint states from before the description
 
     def begin(self) -> None:
         """Listen to everything; called once, when all nodes of this process are there."""
@@ -127,6 +134,8 @@ class Recorder(Node):
         ):
             self._record(name, type_name, message_type, self._standard_callback(name))
         self._record(*ROBOT_DESCRIPTION, String, self._on_description, latched=True)
+        self._declare_topic(*TRANSFORMS)
+        self._declare_topic(*FIXED_TRANSFORMS, latched=True)
         self.create_subscription(
             waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, lockstep_qos(8)
         )
@@ -184,7 +193,33 @@ class Recorder(Node):
     def _on_description(self, data: bytes) -> None:
         if self._writer is not None and not self._described:
             self._writer.write(self.resolve_topic_name(ROBOT_DESCRIPTION[0]), 0, data)
+            try:
+                self._frames = Frames.of(deserialize_message(data, String).data)
+            except (ValueError, ElementTree.ParseError) as error:
+                self.get_logger().warning(
+                    f'no transforms: the robot_description is no URDF: {error}'
+                )
+            else:
+                fixed = self._frames.fixed_message()
+                self._writer.write(self.resolve_topic_name(FIXED_TRANSFORMS[0]), 0, fixed)
+                for joint_states in self._not_placed:
+                    self._place(joint_states)
+            self._not_placed.clear()
         self._described = True
+
+    def _place(self, joint_states: bytes) -> None:
+        """Write the transforms of the frames that move; they wait until the robot is described."""
+        if self._writer is None:
+            return
+        if self._frames is None:
+            if not self._described:
+                self._not_placed.append(joint_states)
+            return
+        told = deserialize_message(joint_states, JointState)
+        positions = dict(zip(told.name, told.position, strict=False))
+        stamp_ns = stamp_of(joint_states)
+        name = self.resolve_topic_name(TRANSFORMS[0])
+        self._writer.write(name, stamp_ns, self._frames.message(stamp_ns, positions))
 
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[..., None]:
         name = self.resolve_topic_name(topic.name)
@@ -228,6 +263,8 @@ class Recorder(Node):
                     data = self._note_plant_state(data)
                 if writer is not None:
                     writer.write(name, stamp_ns, data)
+                if short_name == JOINT_STATES[0]:
+                    self._place(data)
 
         return on_message
 
