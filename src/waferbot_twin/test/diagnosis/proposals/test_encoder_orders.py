@@ -95,21 +95,54 @@ def test_noise_has_a_period_no_more_often_than_promised():
     assert found <= CHANCE * 150 + 3.0 * np.sqrt(CHANCE * 150)
 
 
+FAST = """
+name: fast
+duration_s: 1.0
+motion:
+  y_rotate: {kind: linear, start_s: 0.05, acceleration_time_s: 0.1, s_curve_time_s: 0.02,
+             speed_counts_per_s: 12000, distance_counts: 8000}
+"""
+
+
+def problem_of(effect, axis, hidden, experiment, seed):
+    """Return the log of a rigid machine with an effect and noise as a problem."""
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
+    random = np.random.default_rng(seed)
+    noisy = with_noise(effect.apply(nominal, axis, hidden), nominal, 1.0, random)
+    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
+    twin.commanded = commanded_positions(
+        load_experiment(experiment), twin.servo_parameters, timing.servo_hz
+    )
+    return Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.8)))])
+
+
+@pytest.mark.slow
+def test_a_large_error_at_even_speed_that_is_taken_for_noise_is_tried_in_its_size():
+    """It is a tone in time: whitened, a little of it explains nothing, and no fit begins there."""
+    seed = 20261126
+    print(f'seed {seed}')
+    effect, axis = find('interpolation_error'), 'y_rotate'
+    hidden = {'cosine': -15.0, 'sine': -6.0, 'period': 256.0}
+    problem = problem_of(effect, axis, hidden, FAST, seed)
+    base = evaluate(problem)
+    found = [
+        one
+        for one in at_periods(problem, base, candidates(problem, [effect]))
+        if abs(one.values['period'] - 256.0) < 3.0
+    ]
+    assert found[0].values['cosine'] == found[0].values['sine'] == 0.0
+    assert np.hypot(found[1].values['cosine'] + 15.0, found[1].values['sine'] + 6.0) < 8.0
+    values = fit_causes(problem, (found[1],)).causes[0].values
+    assert values == pytest.approx(hidden, rel=0.05)
+
+
 @pytest.mark.slow
 def test_lines_of_another_pitch_than_any_in_the_library_are_found():
     seed = 20261202
     print(f'seed {seed}')
-    nominal = Variant.of(load_model('rigid'))
     effect, axis = find('interpolation_error'), 'y_linear'
     hidden = {'cosine': 0.3, 'sine': -0.2, 'period': 137.0}
-    random = np.random.default_rng(seed)
-    timing = Timing()
-    noisy = with_noise(effect.apply(nominal, axis, hidden), nominal, 1.0, random)
-    twin = Twin(built(noisy, timing), noisy.pmac, noisy.copley, timing, 'rigid')
-    twin.commanded = commanded_positions(
-        load_experiment(SLOWLY), twin.servo_parameters, timing.servo_hz
-    )
-    problem = Problem(nominal, [record_of_signals('log', twin.advance(timing.ticks(0.8)))])
+    problem = problem_of(effect, axis, hidden, SLOWLY, seed)
     base = evaluate(problem)
     first, *_ = at_periods(problem, base, candidates(problem, [effect]))
     assert first.axis == axis

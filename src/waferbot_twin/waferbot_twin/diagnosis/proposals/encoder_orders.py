@@ -11,7 +11,9 @@ same filtered backwards once more by both (the matched filter of any error of th
 is, for noise alone, exponentially distributed about a mean that changes with k little by little: the
 larger of those below and above it, each a median over ln 2. The speed may be any, and change; where it
 does not, a tone in time is one over the position as well, and whitening takes much of it for the colour
-of the noise. So what is left over is asked as it is, too (u filtered by the observer alone).
+of the noise. So what is left over is asked as it is, too (u filtered by the observer alone). A linear
+fit in that noise finds next to nothing of such an error, either. So each period is tried with the sizes,
+too, that explain most of what is left over as it is, each channel over its RMS value.
 
 Limits: at least `LEAST_PERIOD` counts, below which what is rounded off comes back; at least
 `LEAST_PERIODS` on the way, below which a change of the machine over the position is no period; at least
@@ -29,7 +31,9 @@ from scipy.signal import bilinear, lfilter
 from scipy.stats import gamma
 
 from waferbot_twin.diagnosis.proposals.periodogram import tuned_to
-from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.gauss_newton import moved, names_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, signature
+from waferbot_twin.estimation.stacked_least_squares import by_channel
 from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.residuals.plant_block import OBSERVER_DAMPING, PlantBlock
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
@@ -66,18 +70,32 @@ CHANCE = 0.01
 
 
 def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> list[Cause]:
-    """Return every effect with a cycle of the encoder at each period of its axis that stands out."""
+    """
+    Return every effect with a cycle of the encoder at each period of its axis that stands out.
+
+    Without any of it, and with the sizes that explain most of what is left over as it is.
+    """
     having = {cause.name: cause for cause in rivals if cause.effect.cycle}
-    return [
-        tuned
-        for cause in having.values()
-        for tuned in tuned_to(
-            problem,
-            cause,
-            cause.effect.cycle,
-            periods(problem, base, POSITION_ENCODER[cause.axis]),
-        )
-    ]
+    found = []
+    for cause in having.values():
+        standing_out = periods(problem, base, POSITION_ENCODER[cause.axis])
+        for tuned in tuned_to(problem, cause, cause.effect.cycle, standing_out):
+            found += [tuned, _sized(problem, base, tuned)]
+    return found
+
+
+def _sized(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
+    """Return a cause with the sizes of least squares in what is left over as it is, within bounds."""
+    quick, begun = in_quick_steps(problem, base)
+    change = signature(quick, begun, (*base.causes, cause), len(base.causes))[PLANT]
+    left, noises = begun.residuals[PLANT], problem.noises(PLANT)
+    scales = [max(float(np.std(r)), noise.floor) for r, noise in zip(left, noises, strict=True)]
+    columns = by_channel(change, left)
+    rows = np.vstack([part / scale for part, scale in zip(columns, scales, strict=True)])
+    right = -np.concatenate([part / scale for part, scale in zip(left, scales, strict=True)])
+    sizes = np.linalg.lstsq(rows, right, rcond=None)[0]
+    (sized,) = moved((cause,), names_of(problem, (cause,)), sizes)
+    return sized
 
 
 def periods(problem: Problem, base: Hypothesis, name: str) -> list[float]:
