@@ -15,6 +15,7 @@ import os
 import shutil
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,9 @@ SHARED_MEMORY = Path('/dev/shm')
 
 UNUSED_S = 600.0
 """For so long nobody may have written to what is taken for left behind."""
+
+# joblib ends a worker that has grown, starts another one and says so: nothing is lost.
+warnings.filterwarnings('ignore', 'A worker stopped while some jobs were given to the executor')
 
 
 def end_with_parent(end: Callable[[int], None] = os._exit) -> None:
