@@ -129,16 +129,27 @@ def _ask_on(
             usual = True
             there = {cause.name for cause in causes}
             first = [cause for cause in pool.usual() if cause.name not in there]
-        together = each_once(pool.problem, (*causes, *first))
-        joint = fitted(pool.problem, together, pool.workers) if together != causes else None
-        if joint is not None:
-            found = joint
-        elif not without_name:
-            found = fitted_on(pool.problem, best.found, pool.workers)
+        if without_name:
+            together = each_once(pool.problem, (*causes, *first))
+            found = fitted(pool.problem, together, pool.workers) or found
+        else:
+            found = _fitted_on(pool, best.found, (*causes, *first))
         names = {cause.name for cause in found.causes}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
     return *evident(pool, found, effects, tentative), asked
+
+
+def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]) -> Hypothesis:
+    """
+    Return causes fitted, no number in two places (`each_once`).
+
+    Where those are the ones of `found`, or the machine does not stand with them, that one with its last
+    cause fitted on.
+    """
+    together = each_once(pool.problem, causes)
+    joint = fitted(pool.problem, together, pool.workers) if together != found.causes else None
+    return joint or fitted_on(pool.problem, found, pool.workers)
 
 
 def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
@@ -323,7 +334,7 @@ def _ask_again(
             again = with_odds(again, log_odds_at(effect.inclusion))
             changed |= again.best.cause.name != name
             if again.best.found is not present:
-                found = fitted_on(pool.problem, again.best.found, pool.workers)
+                found = _fitted_on(pool, again.best.found, again.best.found.causes)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
