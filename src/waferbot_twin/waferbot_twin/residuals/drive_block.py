@@ -24,8 +24,8 @@ the loop answers the noise of its sensors, so that means of noise and of current
 the gain of a sensor seems wrong where its line carries little else than that: on axes that stand, 62 to
 91 % with deviations of 3 to 4 %, by ticks 1 to 3 % with deviations of 2 %.
 
-Limit: counts of a coarse encoder of the motor still do that. Standing, the second line of Y-Rotate seems
-4.6 % wrong, 7 times its deviation.
+Limit: counts of a coarse encoder of the motor still do that, the less the more rows of them are smoothed
+over (`motor_motion`).
 """
 
 from __future__ import annotations
