@@ -160,7 +160,7 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
         now,
         [(0, parameter)],
         linear,
-        gauss_newton.REACH,
+        gauss_newton.Reach(),
     )
     assert (tried is not None) == better
     if better:
@@ -190,3 +190,65 @@ def test_what_changes_nothing_stays_where_it_is():
     low, high = np.array([-1.0, -5.0]), np.array([1.0, 5.0])
     assert _least(matrix, np.array([1.0, 0.0]), low, high) == pytest.approx([0.5, 0.0])
     assert _least(np.zeros((2, 2)), np.zeros(2), low, high) == pytest.approx([0.0, 0.0])
+
+
+class Ripple(Decay):
+    """A problem whose plant is a decay with a wave of some order over it."""
+
+    def residuals(self, variant, block):
+        (left,) = super().residuals(variant, block)
+        return [left - variant.get('size', 0.0) * np.sin(variant.get('order', 0.0) * TIME_S)]
+
+
+def shape(name, typical, low, high):
+    effect = Term(name, low, high)
+    effect._parameters = (Parameter('value', '', 0.0, typical, low, high, '', shape=True),)
+    return effect
+
+
+def test_an_order_stays_where_it_is_as_long_as_sizes_are_wrong(monkeypatch):
+    """Asked together with them, it goes to where the wave does the work of the decay."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    measured = model(20.0, 9.0, -0.5) + np.sin(41.0 * TIME_S)
+    measured += 0.05 * random.standard_normal(len(TIME_S))
+    causes = (
+        *decay_causes(-10.0),
+        Cause(Term('size', -1e3, 1e3), 'x', {'value': 0.5}),
+        Cause(shape('order', 40.0, 0.5, 100.0), 'x', {'value': 40.0}),
+    )
+    tried, evaluate = [], gauss_newton.evaluate
+
+    def noted(problem, causes):
+        tried.append([cause.values['value'] for cause in causes])
+        return evaluate(problem, causes)
+
+    monkeypatch.setattr(gauss_newton, 'evaluate', noted)
+    found = fit_causes(Ripple(measured), causes)
+    values = [cause.values['value'] for cause in found.causes]
+    assert values == pytest.approx([20.0, 9.0, -0.5, 1.0, 41.0], rel=0.05)
+    wrong = [one for one in tried if abs(one[1] - 9.0) > 1.0]
+    assert len(wrong) > 2
+    assert {one[4] for one in wrong} == {40.0}
+
+
+class Bend(Decay):
+    """A problem that bends: over a usual way its slope is another one than over what the log shows."""
+
+    def residuals(self, variant, block):
+        x = variant.get('bend', 0.0)
+        return [self.measured - (x + 30.0 * abs(x) * x) * (1.0 + TIME_S)]
+
+
+def test_a_fit_ends_where_the_likelihood_is_flat_and_not_the_slope_over_a_usual_way():
+    """From 0, and no further than a little: slopes over a tenth of the usual way are four times it."""
+    print(f'seed {SEED}')
+    noise = np.random.default_rng(SEED).normal(0.0, 1e-3, len(TIME_S))
+    problem = Bend(2e-3 * (1.0 + TIME_S) + noise)
+    found = fit_causes(problem, (Cause(Term('bend', -9.0, 9.0), 'x', {'value': 0.0}),))
+    truth = least_squares(lambda x: problem.residuals({'bend': x[0]}, PLANT)[0], [0.0], xtol=1e-12)
+    value, error = found.causes[0].values['value'], float(np.sqrt(found.covariance[0, 0]))
+    assert value == pytest.approx(truth.x[0], abs=0.05 * error)
+    # Of the normal equations there: the slope is that of equation and log, by hand.
+    slope = (1.0 + 60.0 * truth.x[0]) * (1.0 + TIME_S)
+    assert error == pytest.approx(1e-3 / float(np.linalg.norm(slope)), rel=0.15)

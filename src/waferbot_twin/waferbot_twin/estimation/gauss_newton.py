@@ -4,8 +4,10 @@ Fit of all parameters of a set of causes, through the simulation.
 
 Gauss-Newton in the whitened residuals, each step no longer than a reach that grows and shrinks with
 success, and within the bounds of the parameters (a bounded linear least-squares problem): a
-compliance that shrinks to nothing stops there while the others go on. Where a problem has a prior of
-sizes (`size_prior`), that is one row more for each of them.
+compliance that shrinks to nothing stops there while the others go on. Residuals are nearly linear in
+sizes and bend along shapes (an order, a period, a frequency): sizes are fitted first. Then shapes have a
+reach of their own, and a step that fails is tried without them before sizes have to follow. Where a
+problem has a prior of sizes (`size_prior`), that is one row more for each of them.
 
 Signatures J are corrected by what a step s has changed in the residuals r (C. G. Broyden, Mathematics of
 Computation 19, 1965),
@@ -14,7 +16,8 @@ Computation 19, 1965),
 
 which costs no simulation, and knows better than differences along single parameters what a
 combination of them does: where an axis sticks and slips, each of them changes when it does, and much of
-that cancels.
+that cancels. The first ones are differences over usual ways. They say how far a parameter must move for
+the logs to show it, and after the first step all are found anew, over that way.
 """
 
 from __future__ import annotations
@@ -72,6 +75,22 @@ Names = Sequence[tuple[int, Parameter]]
 
 
 @dataclass(frozen=True)
+class Reach:
+    """How far sizes and shapes may move in a step, in widths of each parameter."""
+
+    sizes: float = REACH
+    shapes: float = REACH
+
+    def of(self, names: Names) -> Array:
+        """Return the reach (k,) of every parameter, in its widths."""
+        return np.array([self.shapes if item.shape else self.sizes for _, item in names])
+
+    def times(self, sizes: float, shapes: float) -> Reach:
+        """Return a longer or a shorter one."""
+        return Reach(sizes * self.sizes, shapes * self.shapes)
+
+
+@dataclass(frozen=True)
 class Linear:
     """
     A problem about a hypothesis: change of residuals by the signatures of all its parameters.
@@ -105,35 +124,42 @@ def fit_causes(
     """
     now, gained = evaluate(problem, causes), 0.0
     names = names_of(problem, causes)
-    reach, fresh = REACH, False
+    bends = [item.shape for _, item in names]
+    # Sizes first: a shape goes astray as long as they are wrong.
+    first = Reach() if all(bends) else Reach(shapes=0.0)
+    reach, fresh, coarse = first, False, False
     signatures: list[Signature] = []
     seen: list[Signature] = []
+    errors: Array | None = None
     for _ in range(rounds if names else 0):
         if not signatures:
-            signatures, fresh = [*known, *_signatures(problem, now, workers, len(known))], True
+            signatures = _anew(problem, now, workers, known, errors)
+            fresh, coarse = True, errors is None
         linear, seen = linearise(problem, now, signatures), signatures
+        errors = _conditional_errors(linear)
         better, reach = _step(problem, now, names, linear, reach)
         if better is None and fresh and not roughly and _promised(linear) > PROMISES:
-            better, reach = _step(problem, now, names, _sound(problem, now, names, linear), REACH)
-        if better is None and fresh:
-            break
-        if better is None:
-            signatures, reach = [], REACH
-            continue
-        gain = _log_ratio(problem, better, now)
+            sound = _sound(problem, now, names, linear)
+            better, reach = _step(problem, now, names, sound, first)
+        gain = 0.0 if better is None else _log_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
         # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
-        again = little and not fresh and not roughly
-        signatures = [] if again else _corrected(problem, signatures, now, better)
-        now, fresh = better, False
+        again = little and not fresh and (better is None or not roughly)
+        if better is not None:
+            signatures = [] if again or coarse else _corrected(problem, signatures, now, better)
+            now, fresh, coarse = better, False, False
+        elif again:
+            signatures, reach = [], first
         if little and not again:
-            break
+            if first == Reach() or not any(bends):
+                break
+            first = reach = Reach()
     if not seen:
         return now
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
-        seen = [*known, *_signatures(problem, now, workers, len(known))]
+        seen = _anew(problem, now, workers, known, errors)
     return replace(now, covariance=_covariance(problem, now, seen))
 
 
@@ -196,29 +222,50 @@ def _step(
     now: Hypothesis,
     names: Names,
     linear: Linear,
-    reach: float,
-) -> tuple[Hypothesis | None, float]:
+    reach: Reach,
+) -> tuple[Hypothesis | None, Reach]:
     """
     Return the first better hypothesis within ever shorter reaches, or None, and the next reach.
 
-    Where the whole step promises much, and is short itself, reaches are shorter still: what little there
-    is of a cause may do much, and far from in proportion.
+    Each is tried with shapes, then without. Where the whole step promises much, and is short itself,
+    reaches are shorter still: what little there is of a cause may do much, and far from in proportion.
     """
+    widths, shapes = _widths(now.causes, names), np.array([item.shape for _, item in names])
+    of_sizes = _only(linear, ~shapes)
+    if reach.shapes == 0.0:
+        linear = of_sizes
     shortest = SHORTEST
     if _promised(linear) > PROMISES:
-        whole = float(np.max(np.abs(linear.value) / _widths(now.causes, names), initial=0.0))
-        shortest *= min(1.0, whole)
-    while reach >= shortest:
+        shortest *= min(1.0, float(np.max(np.abs(linear.value) / widths, initial=0.0)))
+    while reach.sizes >= shortest:
         change = _bounded(now.causes, names, linear, reach)
-        try:
-            tried = evaluate(problem, moved(now.causes, names, change))
-        except UserError:
-            tried = now
-        if _log_ratio(problem, tried, now) > 0.0:
-            return tried, 2.0 * reach
-        widths = _widths(now.causes, names)
-        reach = 0.3 * min(reach, float(np.max(np.abs(change) / widths, initial=0.0)))
+        better = _if_better(problem, now, names, change)
+        if better is not None:
+            return better, reach.times(2.0, 2.0)
+        used = np.abs(change) / widths
+        shorter = min(reach.shapes, float(np.max(used[shapes], initial=0.0)))
+        if shorter > 0.0:
+            change = _bounded(now.causes, names, of_sizes, reach)
+            better = _if_better(problem, now, names, change)
+            if better is not None:
+                return better, Reach(2.0 * reach.sizes, 0.3 * shorter)
+            used = np.abs(change) / widths
+        reach = Reach(
+            0.3 * min(reach.sizes, float(np.max(used[~shapes], initial=0.0))),
+            0.3 * (shorter or reach.shapes),
+        )
     return None, reach
+
+
+def _if_better(
+    problem: Problem, now: Hypothesis, names: Names, change: Array
+) -> Hypothesis | None:
+    """Return a hypothesis with its parameters changed if that is more probable; else None."""
+    try:
+        tried = evaluate(problem, moved(now.causes, names, change))
+    except UserError:
+        return None
+    return tried if _log_ratio(problem, tried, now) > 0.0 else None
 
 
 def _log_ratio(problem: Problem, this: Hypothesis, other: Hypothesis) -> float:
@@ -245,7 +292,7 @@ def _sound(problem: Problem, now: Hypothesis, names: Names, linear: Linear) -> L
         alone = _only(linear, own)
         try:
             tried = evaluate(
-                problem, moved(now.causes, names, _bounded(now.causes, names, alone, REACH))
+                problem, moved(now.causes, names, _bounded(now.causes, names, alone, Reach()))
             )
         except UserError:
             continue
@@ -261,11 +308,11 @@ def _only(linear: Linear, free: NDArray[np.bool_]) -> Linear:
     return replace(linear, matrix=matrix, value=value)
 
 
-def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: float) -> Array:
+def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: Reach) -> Array:
     """Return the best change of all parameters within their bounds and within reach."""
-    widths = _widths(causes, names)
+    reaches = reach.of(names) * _widths(causes, names)
     low, high = _room(causes, names)
-    low, high = np.maximum(low, -reach * widths), np.minimum(high, reach * widths)
+    low, high = np.maximum(low, -reaches), np.minimum(high, reaches)
     if np.all((linear.value >= low) & (linear.value <= high)):
         return linear.value
     return _least(linear.matrix, linear.right, low, high)
@@ -349,26 +396,49 @@ def _prior(problem: Problem, now: Hypothesis) -> Array:
     return np.concatenate([precision(problem, cause) for cause in now.causes])
 
 
-def _signatures(
-    problem: Problem, now: Hypothesis, workers: int, first_place: int = 0
+def _anew(
+    problem: Problem,
+    now: Hypothesis,
+    workers: int,
+    known: Sequence[Signature],
+    errors: Array | None,
 ) -> list[Signature]:
-    """Return the signatures of causes from a place on, as many at a time as there are workers."""
-    every = range(first_place, len(now.causes))
+    """
+    Return the signatures of all causes, the first ones `known`, with as many workers as there are.
+
+    `errors` (k,) as in `hypothesis.signature`; None where nothing is known of them.
+    """
+    every = range(len(known), len(now.causes))
     # To send the logs to another process takes as long as to simulate some signatures: once to each.
     parts = [every[first::workers] for first in range(min(workers, len(every)))]
     found = Parallel(n_jobs=workers)(
-        delayed(_signatures_at)(problem, now, places) for places in parts
+        delayed(_signatures_at)(problem, now, places, errors) for places in parts
     )
     by_place = {
         place: one
         for places, own in zip(parts, found, strict=True)
         for place, one in zip(places, own, strict=True)
     }
-    return [by_place[place] for place in every]
+    return [*known, *(by_place[place] for place in every)]
 
 
-def _signatures_at(problem: Problem, now: Hypothesis, places: Sequence[int]) -> list[Signature]:
-    return [signature(problem, now, now.causes, place) for place in places]
+def _signatures_at(
+    problem: Problem, now: Hypothesis, places: Sequence[int], errors: Array | None
+) -> list[Signature]:
+    counts = np.cumsum([0, *(len(parameters_of(problem, cause)) for cause in now.causes)])
+    return [
+        signature(
+            problem, now, now.causes, place,
+            None if errors is None else errors[counts[place] : counts[place + 1]],
+        )
+        for place in places
+    ]  # fmt: skip
+
+
+def _conditional_errors(linear: Linear) -> Array:
+    """Return the standard error (k,) of every parameter, all others known."""
+    norms = np.linalg.norm(linear.matrix, axis=0)
+    return np.divide(1.0, norms, out=np.full(len(norms), np.inf), where=norms > 0.0)
 
 
 def moved(causes: tuple[Cause, ...], names: Names, change: Array) -> tuple[Cause, ...]:

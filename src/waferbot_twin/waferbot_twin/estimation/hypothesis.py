@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
@@ -15,7 +17,7 @@ from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 PROBE = 0.1
-"""Share of an effect's typical value with which its signature is found."""
+"""Share of an effect's typical value with which its signature is found, before a fit."""
 
 NARROW = 0.002
 """Width of a narrow parameter, as a share of its value."""
@@ -121,6 +123,22 @@ def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
     )
 
 
+def between_bounds(problem: Problem, causes: Iterable[Cause]) -> NDArray[np.bool_]:
+    """
+    Return which parameters (k,) of fitted causes can still move, in the order of the causes.
+
+    One that a fit has brought to a bound cannot give way to what comes beside it, to first order.
+    """
+    return np.array(
+        [
+            item.low < cause.values[item.name] < item.high
+            for cause in causes
+            for item in parameters_of(problem, cause)
+        ],
+        np.bool_,
+    )
+
+
 def is_nothing(problem: Problem, cause: Cause) -> bool:
     """Return whether there is nothing of a cause: all its sizes are those of the model without it."""
     return all(
@@ -130,7 +148,11 @@ def is_nothing(problem: Problem, cause: Cause) -> bool:
 
 
 def signature(
-    problem: Problem, hypothesis: Hypothesis, causes: tuple[Cause, ...], place: int
+    problem: Problem,
+    hypothesis: Hypothesis,
+    causes: tuple[Cause, ...],
+    place: int,
+    errors: Array | None = None,
 ) -> dict[str, Array]:
     """
     Return what the parameters of `causes[place]` change in the residuals, block by block.
@@ -138,13 +160,17 @@ def signature(
     Arrays have the shape (samples of all channels, parameters), per unit of the parameter. A shape
     parameter of an effect that is not there changes nothing, nor does one in a block that does not read
     where it stands: a column of zeros, without simulating.
+
+    With `errors` (k,), how far each parameter must move, the others where they are, for the logs to show
+    it (`conditional_errors`), slopes are those over that way. Over a longer one a machine that sticks
+    and slips does another thing, and a fit with such slopes ends where the likelihood still rises.
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
     absent = is_nothing(problem, cause)
     found: dict[str, list[Array]] = {}
-    for item in parameters:
-        step = _probe(cause, item)
+    for number, item in enumerate(parameters):
+        step = _probe(cause, item, math.inf if errors is None else float(errors[number]))
         moved = cause.with_values({item.name: cause.values[item.name] + step})
         variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
         differing = () if absent and item.shape else problem.between(here, variant)
@@ -188,11 +214,21 @@ def width_of(cause: Cause, item: Parameter) -> float:
     return abs(item.typical - item.neutral or item.typical or 0.1 * (item.high - item.low))
 
 
-def _probe(cause: Cause, item: Parameter) -> float:
+def _probe(cause: Cause, item: Parameter, error: float) -> float:
     """Return the step of a finite difference, away from the nearer bound."""
     value = cause.values[item.name]
-    step = max(PROBE * width_of(cause, item), item.resolution)
+    step = max(min(PROBE * width_of(cause, item), error), item.resolution)
     return step if item.low <= value + step <= item.high else -step
+
+
+def conditional_errors(hypothesis: Hypothesis) -> Array | None:
+    """Return the standard error (k,) of every parameter, all others known; None without a fit."""
+    spread = hypothesis.covariance
+    if not len(spread) or not np.diag(spread).all():
+        return None
+    unit = np.sqrt(np.diag(spread))
+    information = np.linalg.pinv(spread / np.outer(unit, unit), hermitian=True)
+    return np.asarray(unit / np.sqrt(np.maximum(np.diag(information), 1.0)))
 
 
 def standard_errors(hypothesis: Hypothesis) -> Array:

@@ -35,16 +35,18 @@ from waferbot_twin.diagnosis.proposals.screening import (
     candidates,
     screen,
     signatures,
+    signatures_beside,
 )
 from waferbot_twin.effects.effect import Effect
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
+    conditional_errors,
     evaluate,
     in_quick_steps,
     parameters_of,
     signature,
 )
-from waferbot_twin.estimation.stacked_least_squares import Signature, side_by_side
+from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 
 LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
@@ -211,7 +213,6 @@ class CandidatePool:
             for block in blocks
         }
         of_others = self.signatures_of(found)[:-1]
-        counts = [len(parameters_of(problem, one)) for one in base.causes]
         taken = {one.name for one in found.causes}
         rivals = [
             (one, change)
@@ -220,7 +221,7 @@ class CandidatePool:
             and not set(blocks).isdisjoint(problem.touched(one.effect, one.axis))
             and (change := self._changes[self._at_first(one)]) is not None
         ]
-        return alike(base, own, rivals, side_by_side(of_others, counts))
+        return alike(base, own, rivals, signatures_beside(problem, base, of_others))
 
     def _promises(
         self,
@@ -260,9 +261,16 @@ class CandidatePool:
             while len(self._of_base) >= KEPT:
                 self._of_base.pop(next(iter(self._of_base)))
             quick, begun = in_quick_steps(self.problem, base)
+            counts = [len(parameters_of(self.problem, cause)) for cause in base.causes]
+            errors = conditional_errors(base)
+            of_each = (
+                [None] * len(counts)
+                if errors is None
+                else np.split(errors, np.cumsum(counts)[:-1])
+            )
             self._of_base[key] = {
-                cause.name: signature(quick, begun, base.causes, place)
-                for place, cause in enumerate(base.causes)
+                cause.name: signature(quick, begun, base.causes, place, own)
+                for place, (cause, own) in enumerate(zip(base.causes, of_each, strict=True))
             }
         return [self._of_base[key][cause.name] for cause in base.causes]
 

@@ -32,6 +32,7 @@ from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.estimation.evidence import log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
+    between_bounds,
     evaluate,
     in_quick_steps,
     log_likelihood_ratios,
@@ -222,6 +223,21 @@ def screen(
     return sorted(found, key=lambda item: (-item.likelihood, item.cause.name))
 
 
+def signatures_beside(
+    problem: Problem, base: Hypothesis, of_base: Sequence[Signature]
+) -> Signature:
+    """
+    Return what the known causes of `base` can still change beside a candidate, side by side.
+
+    What is as far off as its cause allows takes none of a candidate's work: a force constant that is
+    further off than the dense effect has it is found beside the dense effect.
+    """
+    counts = [len(parameters_of(problem, cause)) for cause in base.causes]
+    free = between_bounds(problem, base.causes)
+    together = side_by_side(of_base, counts)
+    return {block: matrix[:, free] for block, matrix in together.items()}
+
+
 def _screen(
     problem: Problem,
     base: Hypothesis,
@@ -229,8 +245,7 @@ def _screen(
     of_base: Sequence[Signature],
     scales: Sequence[float],
 ) -> list[Screened]:
-    counts = [len(parameters_of(problem, cause)) for cause in base.causes]
-    together = side_by_side(of_base, counts)
+    together = signatures_beside(problem, base, of_base)
     known: dict[tuple[str, ...], _Known] = {}
     found = []
     for rival, change in asked:
