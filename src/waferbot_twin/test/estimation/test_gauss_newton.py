@@ -192,6 +192,21 @@ def test_what_changes_nothing_stays_where_it_is():
     assert _least(np.zeros((2, 2)), np.zeros(2), low, high) == pytest.approx([0.0, 0.0])
 
 
+class Wave:
+    """An effect of a size and an order, which is a shape."""
+
+    name = 'wave'
+
+    def parameters(self, variant, axis):
+        return (
+            Parameter('size', '', 0.0, 1.0, -1e3, 1e3, ''),
+            Parameter('order', '', 0.0, 20.0, 0.5, 100.0, '', shape=True),
+        )
+
+    def apply(self, variant, axis, values):
+        return {**variant, **values}
+
+
 class Ripple(Decay):
     """A problem whose plant is a decay with a wave of some order over it."""
 
@@ -200,32 +215,22 @@ class Ripple(Decay):
         return [left - variant.get('size', 0.0) * np.sin(variant.get('order', 0.0) * TIME_S)]
 
 
-def shape(name, typical, low, high):
-    effect = Term(name, low, high)
-    effect._parameters = (Parameter('value', '', 0.0, typical, low, high, '', shape=True),)
-    return effect
-
-
 def test_an_order_stays_where_it_is_as_long_as_sizes_are_wrong(monkeypatch):
     """Asked together with them, it goes to where the wave does the work of the decay."""
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)
     measured = model(20.0, 9.0, -0.5) + np.sin(41.0 * TIME_S)
     measured += 0.05 * random.standard_normal(len(TIME_S))
-    causes = (
-        *decay_causes(-10.0),
-        Cause(Term('size', -1e3, 1e3), 'x', {'value': 0.5}),
-        Cause(shape('order', 40.0, 0.5, 100.0), 'x', {'value': 40.0}),
-    )
+    causes = (*decay_causes(-10.0), Cause(Wave(), 'x', {'size': 0.5, 'order': 40.0}))
     tried, evaluate = [], gauss_newton.evaluate
 
     def noted(problem, causes):
-        tried.append([cause.values['value'] for cause in causes])
+        tried.append([value for cause in causes for value in cause.values.values()])
         return evaluate(problem, causes)
 
     monkeypatch.setattr(gauss_newton, 'evaluate', noted)
     found = fit_causes(Ripple(measured), causes)
-    values = [cause.values['value'] for cause in found.causes]
+    values = [value for cause in found.causes for value in cause.values.values()]
     assert values == pytest.approx([20.0, 9.0, -0.5, 1.0, 41.0], rel=0.05)
     wrong = [one for one in tried if abs(one[1] - 9.0) > 1.0]
     assert len(wrong) > 2
