@@ -103,7 +103,7 @@ def test_noise_gains_nothing_and_a_cause_as_much_as_its_squares():
 )
 def test_of_one_parameter_it_is_the_ratio_of_two_integrals(value, error, typical):
     """Bayes factor of a normal likelihood in a mixture of normal priors, over its largest value."""
-    found = log_occam(cause(size=value), [size(typical=typical)], np.array([[error**2]]), SCALES)
+    found = log_occam(cause(size=value), [size(typical=typical)], np.array([[error**-2]]), SCALES)
     marginal = [norm(0.0, math.hypot(error, s * typical)).logpdf(value) for s in SCALES]
     expected = logsumexp(marginal) - math.log(len(SCALES)) - norm(value, error).logpdf(value)
     assert found == pytest.approx(expected, abs=1e-6)
@@ -112,7 +112,7 @@ def test_of_one_parameter_it_is_the_ratio_of_two_integrals(value, error, typical
 def test_of_several_parameters_it_is_that_of_their_joint_distribution():
     spread = np.array([[0.5, 0.3], [0.3, 0.4]])
     own = [size('a', 2.0), size('b', 3.0, neutral=1.0)]
-    found = log_occam(cause(a=1.5, b=2.0), own, spread, [1.0])
+    found = log_occam(cause(a=1.5, b=2.0), own, np.linalg.inv(spread), [1.0])
     prior = spread + np.diag([2.0**2, (3.0 - 1.0) ** 2])
     expected = multivariate_normal([0.0, 1.0], prior).logpdf([1.5, 2.0])
     expected -= multivariate_normal([1.5, 2.0], spread).logpdf([1.5, 2.0])
@@ -131,7 +131,9 @@ def test_a_cause_never_profits_from_having_parameters(values, errors, seed):
     mix = random.normal(size=(count, count)) * np.array(errors[:count])[:, None]
     names = [f'p{number}' for number in range(count)]
     own = [size(name, random.uniform(0.1, 10.0)) for name in names]
-    found = log_occam(cause(**dict(zip(names, values, strict=True))), own, mix @ mix.T, SCALES)
+    found = log_occam(
+        cause(**dict(zip(names, values, strict=True))), own, np.linalg.pinv(mix @ mix.T), SCALES
+    )
     assert found <= 1e-6
 
 
@@ -139,7 +141,7 @@ def test_a_cause_never_profits_from_having_parameters(values, errors, seed):
 @given(error=st.floats(1e-4, 1.0), factor=st.floats(2.0, 100.0))
 def test_what_the_logs_know_better_is_paid_for_and_so_is_a_size_that_is_not_usual(error, factor):
     def of(value, deviation):
-        return log_occam(cause(size=value), [size()], np.array([[deviation**2]]), SCALES)
+        return log_occam(cause(size=value), [size()], np.array([[deviation**-2]]), SCALES)
 
     assert of(2.0, error / factor) < of(2.0, error)
     assert of(20.0 * factor, error) < of(2.0, error)
@@ -152,8 +154,8 @@ def test_a_shape_parameter_pays_for_its_range(error, range_):
     """Uniform over its range: the width is that over the square root of 12."""
 
     def of(high):
-        spread = np.array([[error**2]])
-        return log_occam(cause(shape=0.5), [shape(-1.0, high)], spread, SCALES)
+        known = np.array([[error**-2]])
+        return log_occam(cause(shape=0.5), [shape(-1.0, high)], known, SCALES)
 
     expected = -0.5 * math.log1p((1.0 + range_) ** 2 / 12.0 / error**2)
     assert of(range_) == pytest.approx(expected)
@@ -161,10 +163,50 @@ def test_a_shape_parameter_pays_for_its_range(error, range_):
 
 
 def test_a_shape_over_decades_pays_for_its_ratio_not_its_difference():
-    spread = np.array([[0.01**2]])
-    found = log_occam(cause(shape=5.0), [shape(1.0, 1000.0)], spread, SCALES)
+    known = np.array([[0.01**-2]])
+    found = log_occam(cause(shape=5.0), [shape(1.0, 1000.0)], known, SCALES)
     width = 5.0 * math.log(1000.0) / math.sqrt(12.0)
     assert found == pytest.approx(-0.5 * math.log1p(width**2 / 0.01**2))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10**6),
+    count=st.integers(1, 4),
+    fitted_with=st.floats(1e-2, 1e2),
+)
+def test_it_is_the_integral_also_of_values_that_a_prior_has_moved(seed, count, fitted_with):
+    """Likelihood normal about its largest value; gain is that at values between there and none."""
+    random = np.random.default_rng(seed)
+    mix = random.normal(size=(count, count + 1))
+    known, largest = mix @ mix.T, 3.0 * random.normal(size=count)
+    typical = random.uniform(0.5, 2.0, count)
+    prior = fitted_with / typical**2
+    values = np.linalg.solve(known + np.diag(prior), known @ largest)
+    names = [f'p{number}' for number in range(count)]
+    own = [size(name, one) for name, one in zip(names, typical, strict=True)]
+    found = log_occam(cause(**dict(zip(names, values, strict=True))), own, known, SCALES, prior)
+    spread, off = np.linalg.inv(known), values - largest
+    gained = 0.5 * largest @ known @ largest - 0.5 * off @ known @ off
+    marginal = [
+        multivariate_normal(np.zeros(count), spread + np.diag((s * typical) ** 2)).logpdf(largest)
+        for s in SCALES
+    ]
+    none = multivariate_normal(np.zeros(count), spread).logpdf(largest)
+    assert gained + found == pytest.approx(
+        logsumexp(marginal) - math.log(len(SCALES)) - none, rel=1e-6, abs=1e-6
+    )
+
+
+def test_what_logs_do_not_say_costs_nothing():
+    """Two sizes of which they know the sum alone cost what one does whose prior is that of the sum."""
+    error, wave = 0.02, np.array([[1.0, 1.0], [1.0, 1.0]])
+    both = [size('a', 1.0), size('b', 1.0)]
+    found = log_occam(cause(a=1.5, b=1.5), both, wave / error**2, SCALES)
+    one = log_occam(
+        cause(size=3.0), [size(typical=math.sqrt(2.0))], np.array([[error**-2]]), SCALES
+    )
+    assert found == pytest.approx(one, abs=1e-6)
 
 
 def test_without_parameters_there_is_nothing_to_pay():

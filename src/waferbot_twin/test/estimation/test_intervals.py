@@ -47,7 +47,7 @@ def test_what_the_logs_tell_nothing_of_reaches_as_far_as_they_are_as_likely(nomi
     truth = fold_back(0.48 * most, 0.06)
     problem = log_of(nominal, truth)
     found = fit_causes(problem, (fold_back(0.48 * most, 0.1),))
-    assert standard_errors(found)[1] == 0.0
+    assert standard_errors(found)[1] > 1e3  # s
     assert found.log_likelihood == pytest.approx(
         evaluate(problem, (truth,)).log_likelihood, abs=1.0
     )

@@ -18,10 +18,10 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.estimation.hypothesis import standard_errors
 from waferbot_twin.estimation.size_prior import (
+    information_of_logs,
     log_prior,
+    posterior_covariance,
     precision,
-    with_prior,
-    without_prior,
 )
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 from waferbot_twin.residuals.problem import PLANT, Cause
@@ -128,21 +128,29 @@ def test_without_scales_and_of_a_shape_there_is_no_prior():
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 4))
-def test_a_prior_can_be_added_to_a_covariance_and_taken_out_again(seed, count):
+def test_a_prior_can_be_added_to_what_logs_say_and_taken_out_again(seed, count):
     random = np.random.default_rng(seed)
     units = 10.0 ** random.uniform(-6.0, 6.0, count)
     mix = random.standard_normal((count, count + 2))
-    spread = mix @ mix.T * np.outer(units, units)
+    known = mix @ mix.T / np.outer(units, units)
     prior = 10.0 ** random.uniform(-3.0, 3.0, count) / units**2
-    both = with_prior(spread, prior)
-    expected = np.linalg.inv(
-        np.linalg.inv(spread / np.outer(units, units)) + np.diag(prior * units**2)
-    )
+    both = posterior_covariance(known, prior)
+    expected = np.linalg.inv(known * np.outer(units, units) + np.diag(prior * units**2))
     assert both / np.outer(units, units) == pytest.approx(expected, rel=1e-6, abs=1e-9)
-    again = without_prior(both, prior)
-    assert again / np.outer(units, units) == pytest.approx(
-        spread / np.outer(units, units), rel=1e-3, abs=1e-4
+    again = information_of_logs(both, prior)
+    assert again * np.outer(units, units) == pytest.approx(
+        known * np.outer(units, units), rel=1e-3, abs=1e-4
     )
+
+
+def test_what_logs_do_not_say_has_the_variance_of_its_prior():
+    """Logs know the sum of two sizes to a thousandth, and nothing of their difference."""
+    known, prior = 1e6 * np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([1.0, 1.0])
+    found = posterior_covariance(known, prior)
+    difference = np.array([1.0, -1.0])
+    assert difference @ found @ difference == pytest.approx(2.0, rel=1e-6)
+    assert np.ones(2) @ found @ np.ones(2) == pytest.approx(1e-6, rel=1e-3)
+    assert information_of_logs(found, prior) == pytest.approx(known, rel=1e-3)
 
 
 def test_what_the_logs_know_only_as_a_sum_is_shared_and_does_not_run_away():

@@ -30,8 +30,8 @@ from waferbot_twin.effects.variant import Overlay, Variant
 NAME = 'cogging'
 SUMMARY = 'magnets pull on the iron: a force over the position, without current'
 HARMONICS = (1, 2, 3)
-SHARES = {'cosine_1': 0.03, 'sine_1': 0.02, 'cosine_2': -0.01, 'sine_2': 0.01, 'cosine_3': 0.0}
-"""Typical amplitudes, in rated forces of the motor; zero if not here."""
+SHARES = {'cosine_1': 0.03, 'sine_1': 0.02, 'cosine_2': -0.01, 'sine_2': 0.01}
+"""Typical amplitudes, in rated forces of the motor."""
 
 LEAST_SHARE = 0.005
 """Typical amplitude of everything else."""

@@ -14,19 +14,21 @@ and G the usual one; where A lacks something, or noise has another colour, the w
 is corrected as composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 94, 2007): the
 weighting, and with it the estimate, stays that of the noise model.
 
-**Evidence.** Of a cause with the estimate w and its covariance V, in a normal scale mixture of
-priors N(0, tau_m^2 W) with equal weights (W from the effect's typical size), the Bayes factor
-against none of it is
+**Evidence.** Of a cause with the values w, what the logs say of them L (their information, the inverse
+of a covariance), the slope g of ln likelihood there, and a normal scale mixture of priors N(0, S_m) with
+equal weights, S_m = tau_m^2 W (W from the effect's typical size), the Bayes factor against none of it is
 
-    ln BF = G + ln 1/M sum over m of |V|^1/2 |V_m|^-1/2 exp(-w' V_m^-1 w / 2),  V_m = V + tau_m^2 W   (2)
+    ln BF = G - g'w - w'L w / 2 + ln 1/M sum over m of |1 + S_m L|^-1/2 exp(b' (L + S_m^-1)^-1 b / 2),
+    b = g + L w                                                                                      (2)
 
-(Laplace's approximation; G is the w' V^-1 w / 2 of the linear case, V the covariance that the logs
-alone give). The priors of the other causes (`size_prior`) count in G, as far as their values differ. A
+(Laplace's approximation). Values that were fitted with a prior of the precision P have g = P w
+(`size_prior`), the likeliest ones g = 0. What the logs do not say, a direction along which L is zero,
+costs nothing. The priors of the other causes count in G, as far as their values differ. A
 shape parameter, a phase or a frequency, has no size: its prior has the width of what is possible, so
 that whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in
-the fit already (`residuals.prior_block`), and with it in G and V; what is left of (2) is
+the fit already (`residuals.prior_block`), and with it in G and L; what is left of (2) is
 
-    ln BF = G + 1/2 ln |V| - sum over n of them of ln s + c(n),                                   (3)
+    ln BF = G - 1/2 ln |L| - sum over n of them of ln s + c(n),                                   (3)
 
 c that of `residuals.prior_block`.
 """
@@ -41,15 +43,20 @@ from scipy.special import logsumexp
 
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
-from waferbot_twin.estimation.size_prior import log_prior, precision, without_prior
+from waferbot_twin.estimation.size_prior import (
+    away_from_neutral,
+    information_of_logs,
+    log_prior,
+    precision,
+)
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.prior_block import log_normaliser
 from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
-SMALLEST = 1e-12
-"""Smallest variance of an estimate, as a share of its prior's: rounding, not knowledge."""
+LARGEST = 1e12
+"""Most that logs say of a value, over what its prior says: the rest is rounding, not knowledge."""
 
 
 def gain(
@@ -102,48 +109,44 @@ def _seen_from(
 
 
 def log_occam(
-    cause: Cause, parameters: Sequence[Parameter], spread: Array, scales: Sequence[float]
+    cause: Cause,
+    parameters: Sequence[Parameter],
+    information: Array,
+    scales: Sequence[float],
+    prior: Array | None = None,
 ) -> float:
     """
-    Return the second term of equation (2) of a cause whose estimates have the covariance `spread`.
+    Return what equation (2) adds to the gain of a cause of which logs say `information` (k, k).
 
-    It is zero or negative for a size that is usual, the more so the better the logs know the
-    values.
+    `prior` is the precision (k,) with which its values were fitted, if there was one. For the likeliest
+    values it is zero or negative, the more so the better the logs know them, and for a size that is not
+    usual.
     """
     if not parameters:
         return 0.0
     if all(item.spread > 0.0 for item in parameters):
         spreads = np.array([item.spread for item in parameters])
-        return _half_log_det(spread / np.outer(spreads, spreads)) + log_normaliser(len(spreads))
-    away, sizes, widths = [], [], []
-    for item in parameters:
-        value = cause.values[item.name]
-        if item.shape:
-            away.append(0.0)
-            sizes.append(0.0)
-            widths.append(_width(item, value) ** 2)
-        else:
-            away.append(value - item.neutral)
-            sizes.append((item.typical - item.neutral) ** 2)
-            widths.append(0.0)
-    offset, size, width = np.array(away), np.array(sizes), np.array(widths)
-    unit = np.sqrt(np.where(size > 0.0, size, np.where(width > 0.0, width, 1.0)))
-    scaled = spread / np.outer(unit, unit)
-    scaled = scaled + np.diag(np.maximum(SMALLEST - np.diag(scaled), 0.0))
-    scaled = 0.5 * (scaled + scaled.T)
+        known = np.linalg.eigvalsh(information * np.outer(spreads, spreads))
+        return -0.5 * float(np.sum(np.log(np.clip(known, 1.0 / LARGEST, LARGEST)))) + (
+            log_normaliser(len(spreads))
+        )
+    away = away_from_neutral(cause, parameters)
+    slope = np.zeros(len(parameters)) if prior is None else prior * away
+    widths = np.array([_width(item, cause.values[item.name]) for item in parameters])
+    sizes = np.array(
+        [0.0 if item.shape else abs(item.typical - item.neutral) for item in parameters]
+    )
+    shapes = np.array([item.shape for item in parameters], np.bool_)
     terms = []
     for scale in scales:
-        prior = scaled + np.diag((size * scale**2 + width) / unit**2)
-        difference = _half_log_det(scaled) - _half_log_det(prior)
-        terms.append(
-            difference - 0.5 * float((offset / unit) @ np.linalg.pinv(prior) @ (offset / unit))
-        )
+        unit = np.where(shapes, widths, scale * sizes)
+        known, directions = np.linalg.eigh(information * np.outer(unit, unit))
+        known = np.clip(known, 0.0, LARGEST)
+        size, pull = directions.T @ (away / unit), directions.T @ (slope * unit)
+        # Equation (2) along each direction; the large terms of it cancel.
+        own = (0.5 * pull**2 - pull * size - 0.5 * known * size**2) / (1.0 + known)
+        terms.append(float(np.sum(own - 0.5 * np.log1p(known))))
     return float(logsumexp(terms) - math.log(len(terms)))
-
-
-def _half_log_det(matrix: Array) -> float:
-    """Return half of the logarithm of a determinant; directions without any variance count as tiny."""
-    return 0.5 * float(np.sum(np.log(np.maximum(np.linalg.eigvalsh(matrix), SMALLEST))))
 
 
 def _width(item: Parameter, value: float) -> float:
@@ -157,15 +160,15 @@ def _width(item: Parameter, value: float) -> float:
     return (item.high - item.low) / math.sqrt(12.0)
 
 
-def spread_of(problem: Problem, hypothesis: Hypothesis, place: int) -> Array:
-    """Return the covariance (k, k) that the logs give the parameters of one cause of a fit."""
+def information_of(problem: Problem, hypothesis: Hypothesis, place: int) -> Array:
+    """Return what the logs say (k, k) of the parameters of one cause of a fit, the others unknown."""
     counts = [len(parameters_of(problem, cause)) for cause in hypothesis.causes]
     first = sum(counts[:place])
     own = slice(first, first + counts[place])
     if hypothesis.covariance.shape[0] != sum(counts):
-        return np.zeros((counts[place], counts[place]))
+        raise ValueError('the hypothesis was not fitted')
     prior = precision(problem, hypothesis.causes[place])
-    return without_prior(np.asarray(hypothesis.covariance[own, own]), prior)
+    return information_of_logs(np.asarray(hypothesis.covariance[own, own]), prior)
 
 
 def log_evidence(
@@ -182,6 +185,7 @@ def log_evidence(
     """
     cause = more.causes[-1]
     own = parameters_of(problem, cause)
-    occam = log_occam(cause, own, spread_of(problem, more, len(more.causes) - 1), scales)
+    known = information_of(problem, more, len(more.causes) - 1)
+    occam = log_occam(cause, own, known, scales, precision(problem, cause))
     others = log_prior(problem, more.causes[:-1]) - log_prior(problem, fewer.causes)
     return (gain(more, fewer) if gained is None else gained) + others + occam

@@ -43,8 +43,8 @@ from waferbot_twin.estimation.hypothesis import (
 from waferbot_twin.estimation.size_prior import (
     away_from_neutral,
     log_prior,
+    posterior_covariance,
     precision,
-    with_prior,
 )
 from waferbot_twin.estimation.stacked_least_squares import (
     Signature,
@@ -57,7 +57,7 @@ from waferbot_twin.noise_model.prediction_error import (
     normal_equations,
     reduced,
 )
-from waferbot_twin.noise_model.residual_spectrum import covariance
+from waferbot_twin.noise_model.residual_spectrum import information
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -168,7 +168,7 @@ def _covariance(problem: Problem, now: Hypothesis, signatures: Sequence[Signatur
     together = _together(problem, now, signatures)
     estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
     rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
-    return with_prior(covariance(np.vstack(rows), estimate), _prior(problem, now))
+    return posterior_covariance(information(np.vstack(rows), estimate), _prior(problem, now))
 
 
 def _corrected(

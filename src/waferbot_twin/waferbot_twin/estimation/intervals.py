@@ -4,8 +4,8 @@
 
 Where the logs tell a parameter, noise moves its estimate by 1.96 standard errors; in a block that
 calculates in whole numbers it can go on beyond that until another bit differs. Where they tell nothing
-of it (how long a drive takes to fold back, where it never had to), its standard error is zero, and it
-can go as far, the others as they are, as the logs become by no more than
+of it (how long a drive takes to fold back, where it never had to), its standard error is longer than
+all that it can be, and it can go as far, the others as they are, as the logs become by no more than
 
     2 (ln L_best - ln L) = 3.84
 
@@ -65,6 +65,8 @@ def intervals_95(
     # A cause whose covariance nobody knows has fewer errors than parameters: no intervals.
     for item, error, more in zip(parameters_of(problem, cause), errors, same, strict=False):
         value, reach = cause.values[item.name], float(NORMAL_95 * error + more)
+        if reach > item.high - item.low:
+            reach = 0.0
         low, high = value - reach, value + reach
         if reach == 0.0 or problem.is_exact_limit(cause):
             low = min(low, _as_likely(problem, found, place, item, item.low))

@@ -33,8 +33,8 @@ from waferbot_twin.estimation.hypothesis import parameters_of
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
-LARGEST = 1e9
-"""Variance of what the logs do not say, in that which it has with the prior."""
+LARGEST = 1e12
+"""Variance of what neither logs nor a prior say, in that of what they say: rounding."""
 
 
 def log_prior(problem: Problem, causes: Sequence[Cause]) -> float:
@@ -74,30 +74,30 @@ def away_from_neutral(cause: Cause, parameters: Sequence[Parameter]) -> Array:
     )
 
 
-def without_prior(spread: Array, prior: Array) -> Array:
+def posterior_covariance(information: Array, prior: Array) -> Array:
     """
-    Return the covariance (k, k) that the logs alone give, of one to which a prior has contributed.
+    Return the covariance (k, k) of what the logs say (`information`) with a prior, (L + P)^-1.
 
-    `prior` is the diagonal of its precision, equation (2). What the logs do not say has `LARGEST`.
+    `prior` is the diagonal of its precision, equation (2). What neither says has `LARGEST`.
     """
-    if not prior.any():
-        return spread
-    unit = _errors(spread)
-    posterior = np.linalg.pinv(spread / np.outer(unit, unit), hermitian=True)
-    values, vectors = np.linalg.eigh(posterior - np.diag(prior * unit**2))
-    known = vectors / np.maximum(values, 1.0 / LARGEST) @ vectors.T
-    return np.asarray(known * np.outer(unit, unit))
+    total = information + np.diag(prior)
+    unit = _errors(total)
+    size, directions = np.linalg.eigh(total / np.outer(unit, unit))
+    found = directions / np.maximum(size, 1.0 / LARGEST) @ directions.T
+    return np.asarray(found / np.outer(unit, unit))
 
 
-def with_prior(spread: Array, prior: Array) -> Array:
-    """Return the covariance (k, k) with a prior of the diagonal precision (k,), of one without."""
-    if not prior.any():
-        return spread
-    # (V^-1 + P)^-1 = V (1 + P V)^-1, for a V that may have no inverse.
+def information_of_logs(spread: Array, prior: Array) -> Array:
+    """
+    Return what the logs alone say (k, k), of the covariance to which a prior has contributed.
+
+    Its inverse less `prior`, the diagonal of that one's precision. Along what the logs do not say that
+    is zero but for rounding.
+    """
     unit = _errors(spread)
-    scaled, own = spread / np.outer(unit, unit), prior * unit**2
-    found = scaled @ np.linalg.inv(np.eye(len(own)) + own[:, None] * scaled)
-    return np.asarray(0.5 * (found + found.T) * np.outer(unit, unit))
+    size, directions = np.linalg.eigh(spread / np.outer(unit, unit))
+    total = directions / np.maximum(size, 1.0 / LARGEST) @ directions.T
+    return np.asarray(total / np.outer(unit, unit) - np.diag(prior))
 
 
 def _errors(spread: Array) -> Array:

@@ -34,6 +34,9 @@ from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_e
 
 Array = NDArray[np.float64]
 
+LEAST = 1e-12
+"""Squared singular value, over the largest, of what rows still show; and noise, over what is assumed."""
+
 FEWEST = 4
 """Lines that are averaged on either side at the lowest frequencies."""
 
@@ -178,23 +181,22 @@ def power_along(
     return Power(noisy / total, noisy**2 / uncertain if uncertain > 0.0 else math.inf)
 
 
-def covariance(system: Array, estimate: Fit) -> Array:
+def information(system: Array, estimate: Fit) -> Array:
     """
-    Return the covariance (k, k) of what is fitted to white rows A, `system` (N, k), with a joint
-    fit.
+    Return what white rows A, `system` (N, k), say of what is fitted to them with a joint fit: (k, k).
 
     Least squares with noise that is not as assumed have the sandwich covariance
 
         (A' A)^-1 (sum over c of J_c) (A' A)^-1,
 
     J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
-    channel A_c' A_c.
+    channel A_c' A_c. This is its inverse, zero along what A does not show. Noise is `LEAST` of what the
+    noise model says at least.
     """
     scale = np.linalg.norm(system, axis=0)
     scale[scale == 0.0] = 1.0
     rows = system / scale
-    inverse = np.linalg.pinv(rows.T @ rows, rcond=1e-12)
-    noisy = np.zeros_like(inverse)
+    noisy = np.zeros((len(scale), len(scale)))
     parts = np.split(rows, np.cumsum([len(white) for white in estimate.whitened])[:-1])
     for part, white, one in zip(parts, estimate.whitened, estimate.colours, strict=True):
         if one.error.order:
@@ -202,4 +204,9 @@ def covariance(system: Array, estimate: Fit) -> Array:
             noisy += projected.T @ projected / one.freedom
         else:
             noisy += part.T @ part
-    return np.asarray(inverse @ noisy @ inverse / np.outer(scale, scale), np.float64)
+    size, directions = np.linalg.eigh(rows.T @ rows)
+    seen = size > LEAST * size.max(initial=0.0)
+    directions = directions[:, seen] / np.sqrt(size[seen])
+    power = directions.T @ noisy @ directions + LEAST * np.eye(int(seen.sum()))
+    shown = directions * size[seen] * scale[:, None]
+    return np.asarray(shown @ np.linalg.inv(power) @ shown.T, np.float64)

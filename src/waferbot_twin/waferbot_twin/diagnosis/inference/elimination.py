@@ -17,10 +17,10 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import conditional
-from waferbot_twin.estimation.evidence import gain, log_evidence, log_occam, spread_of
+from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
-from waferbot_twin.estimation.size_prior import log_prior, precision, without_prior
+from waferbot_twin.estimation.size_prior import information_of_logs, log_prior, precision
 from waferbot_twin.residuals.problem import Problem
 
 
@@ -91,8 +91,8 @@ def _log_odds_of(
     for place, cause in enumerate(more.causes):
         if cause.name in names:
             parameters = parameters_of(pool.problem, cause)
-            own = spread_of(pool.problem, more, place)
-            odds += log_occam(cause, parameters, own, pool.settings.prior_scales)
+            own, prior = information_of(pool.problem, more, place), precision(pool.problem, cause)
+            odds += log_occam(cause, parameters, own, pool.settings.prior_scales, prior)
             odds += pool.log_prior(cause)
     return odds
 
@@ -146,12 +146,13 @@ def _linear_odds(
             for item, change in zip(parameters, away[own], strict=True)
             if not item.shape
         }
-        of_logs = without_prior(spread[np.ix_(own, own)], precision(pool.problem, cause))
-        inside = sizes[own]
-        information = np.linalg.pinv(of_logs[np.ix_(inside, inside)], hermitian=True)
-        gained = 0.5 * float(away[own & sizes] @ information @ away[own & sizes])
+        prior, inside = precision(pool.problem, cause), sizes[own]
+        known = information_of_logs(spread[np.ix_(own, own)], prior)
+        of_sizes = information_of_logs(spread[np.ix_(own & sizes, own & sizes)], prior[inside])
+        size = away[own & sizes]
+        gained = float(size @ (prior[inside] * size + 0.5 * of_sizes @ size))
         occam = log_occam(
-            cause.with_values(values), parameters, of_logs, pool.settings.prior_scales
+            cause.with_values(values), parameters, known, pool.settings.prior_scales, prior
         )
         odds[cause.name] = gained + occam + pool.log_prior(cause)
     return odds

@@ -40,7 +40,11 @@ from waferbot_twin.estimation.hypothesis import (
     signature,
     whole_change,
 )
-from waferbot_twin.estimation.size_prior import away_from_neutral, precision_at, with_prior
+from waferbot_twin.estimation.size_prior import (
+    away_from_neutral,
+    posterior_covariance,
+    precision_at,
+)
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.gram import spanning
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
@@ -269,6 +273,9 @@ def _screen(
     return found
 
 
+ROUNDS = 8
+"""How often the prior of a candidate's sizes is found about what they are with it."""
+
 ALIKE = 0.5
 """Share of what a cause gains that a candidate gains in its place, to be what may be there instead."""
 
@@ -409,13 +416,13 @@ class _Linear:
     """
     Least squares of white residuals on a candidate's signature beside that of the known causes.
 
-    `value` (k,) of the candidate's parameters, their `spread` (k, k) in noise of the power along
-    what the fit changes; what that `gains`, and what the candidate's signature as large as it is;
-    `square` that of the whole signature over its power.
+    `value` (k,) of the candidate's parameters, what the logs say of them (`information`, (k, k)) in
+    noise of the power along what the fit changes; what that `gains`, and what the candidate's signature
+    as large as it is; `square` that of the whole signature over its power.
     """
 
     value: Array
-    spread: Array
+    information: Array
     square: float
     fitted: _Gain
     as_it_is: _Gain
@@ -432,7 +439,8 @@ class _Linear:
         alone = _without(rows, known.columns)
         scale = np.linalg.norm(alone, axis=0)
         scale[scale == 0.0] = 1.0
-        inverse = np.linalg.pinv((alone / scale).T @ (alone / scale), rcond=1e-10, hermitian=True)
+        products = (alone / scale).T @ (alone / scale)
+        inverse = np.linalg.pinv(products, rcond=1e-10, hermitian=True)
         value = -inverse @ ((alone / scale).T @ known.left) / scale
         after = known.left + alone @ value
         # Not what known causes could explain on their own, far from their best values.
@@ -443,7 +451,7 @@ class _Linear:
         already = [gained.get(place, 0.0) for place in known.places]
         return cls(
             value,
-            power.value * inverse / np.outer(scale, scale),
+            products * np.outer(scale, scale) / power.value,
             sum(float(part @ part) for part in first) / power.value,
             _Gain.of(known, known.split(known.left), known.split(after), change, already),
             _Gain.of(known, known.before, moved, first, [0.0] * len(moved)),
@@ -465,16 +473,27 @@ class _Linear:
         if not _possible(problem, rival, self.value):
             return None
         parameters = parameters_of(problem, rival)
-        shown = [place for place in range(len(parameters)) if self.spread[place, place] > 0.0]
-        values = {
-            item.name: float(np.clip(rival.values[item.name] + change, item.low, item.high))
-            for item, change in zip(parameters, self.value, strict=True)
-        }
-        seen, spread = [parameters[place] for place in shown], self.spread[np.ix_(shown, shown)]
-        likeliest = rival.with_values(values)
-        occam = log_occam(likeliest, seen, spread, scales)
-        prior, value = precision_at(likeliest, seen, scales), self.value.copy()
-        value[shown] -= with_prior(spread, prior) @ (prior * away_from_neutral(likeliest, seen))
+        shown = [place for place in range(len(parameters)) if self.information[place, place] > 0.0]
+        seen, known = (
+            [parameters[place] for place in shown],
+            self.information[np.ix_(shown, shown)],
+        )
+        found, begun = self.value[shown], away_from_neutral(rival, seen)
+        pull, value = known @ found, self.value.copy()
+
+        def at(change: Array) -> Cause:
+            return rival.with_values(
+                {
+                    item.name: rival.values[item.name] + float(more)
+                    for item, more in zip(seen, change, strict=True)
+                }
+            )
+
+        occam = log_occam(at(found), seen, known, scales)
+        for _ in range(ROUNDS):
+            prior = precision_at(at(found), seen, scales)
+            found = posterior_covariance(known, prior) @ (pull - prior * begun)
+        value[shown] = found
         return self.fitted.screened(rival, value, occam)
 
 
