@@ -169,35 +169,6 @@ def test_a_shape_over_decades_pays_for_its_ratio_not_its_difference():
     assert found == pytest.approx(-0.5 * math.log1p(width**2 / 0.01**2))
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10**6),
-    count=st.integers(1, 4),
-    fitted_with=st.floats(1e-2, 1e2),
-)
-def test_it_is_the_integral_also_of_values_that_a_prior_has_moved(seed, count, fitted_with):
-    """Likelihood normal about its largest value; gain is that at values between there and none."""
-    random = np.random.default_rng(seed)
-    mix = random.normal(size=(count, count + 1))
-    known, largest = mix @ mix.T, 3.0 * random.normal(size=count)
-    typical = random.uniform(0.5, 2.0, count)
-    prior = fitted_with / typical**2
-    values = np.linalg.solve(known + np.diag(prior), known @ largest)
-    names = [f'p{number}' for number in range(count)]
-    own = [size(name, one) for name, one in zip(names, typical, strict=True)]
-    found = log_occam(cause(**dict(zip(names, values, strict=True))), own, known, SCALES, prior)
-    spread, off = np.linalg.inv(known), values - largest
-    gained = 0.5 * largest @ known @ largest - 0.5 * off @ known @ off
-    marginal = [
-        multivariate_normal(np.zeros(count), spread + np.diag((s * typical) ** 2)).logpdf(largest)
-        for s in SCALES
-    ]
-    none = multivariate_normal(np.zeros(count), spread).logpdf(largest)
-    assert gained + found == pytest.approx(
-        logsumexp(marginal) - math.log(len(SCALES)) - none, rel=1e-6, abs=1e-6
-    )
-
-
 def test_what_logs_do_not_say_costs_nothing():
     """Two sizes of which they know the sum alone cost what one does whose prior is that of the sum."""
     error, wave = 0.02, np.array([[1.0, 1.0], [1.0, 1.0]])

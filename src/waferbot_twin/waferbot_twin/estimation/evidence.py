@@ -15,17 +15,15 @@ is corrected as composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 9
 weighting, and with it the estimate, stays that of the noise model.
 
 **Evidence.** Of a cause with the values w, what the logs say of them L (their information, the inverse
-of a covariance), the slope g of ln likelihood there, and a normal scale mixture of priors N(0, S_m) with
-equal weights, S_m = tau_m^2 W (W from the effect's typical size), the Bayes factor against none of it is
+of a covariance), and a normal scale mixture of priors N(0, S_m) with equal weights, S_m = tau_m^2 W (W
+from the effect's typical size), the Bayes factor against none of it is
 
-    ln BF = G - g'w - w'L w / 2 + ln 1/M sum over m of |1 + S_m L|^-1/2 exp(b' (L + S_m^-1)^-1 b / 2),
-    b = g + L w                                                                                      (2)
+    ln BF = G + ln 1/M sum over m of |1 + S_m L|^-1/2 exp(-w' (L^-1 + S_m)^-1 w / 2)                (2)
 
-(Laplace's approximation). Values that were fitted with a prior of the precision P have g = P w
-(`size_prior`), the likeliest ones g = 0. What the logs do not say, a direction along which L is zero,
-costs nothing. The priors of the other causes count in G, as far as their values differ. A
-shape parameter, a phase or a frequency, has no size: its prior has the width of what is possible, so
-that whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in
+(Laplace's approximation). What the logs do not say, a direction along which L is zero, costs nothing.
+The priors of the other causes (`size_prior`) count in G, as far as their values differ. A shape
+parameter, a phase or a frequency, has no size: its prior has the width of what is possible, so that
+whoever tries many frequencies pays for it. Parameters with a usual spread s have their prior in
 the fit already (`residuals.prior_block`), and with it in G and L; what is left of (2) is
 
     ln BF = G - 1/2 ln |L| - sum over n of them of ln s + c(n),                                   (3)
@@ -109,17 +107,12 @@ def _seen_from(
 
 
 def log_occam(
-    cause: Cause,
-    parameters: Sequence[Parameter],
-    information: Array,
-    scales: Sequence[float],
-    prior: Array | None = None,
+    cause: Cause, parameters: Sequence[Parameter], information: Array, scales: Sequence[float]
 ) -> float:
     """
     Return what equation (2) adds to the gain of a cause of which logs say `information` (k, k).
 
-    `prior` is the precision (k,) with which its values were fitted, if there was one. For the likeliest
-    values it is zero or negative, the more so the better the logs know them, and for a size that is not
+    It is zero or negative, the more so the better the logs know the values, and for a size that is not
     usual.
     """
     if not parameters:
@@ -131,7 +124,6 @@ def log_occam(
             log_normaliser(len(spreads))
         )
     away = away_from_neutral(cause, parameters)
-    slope = np.zeros(len(parameters)) if prior is None else prior * away
     widths = np.array([_width(item, cause.values[item.name]) for item in parameters])
     sizes = np.array(
         [0.0 if item.shape else abs(item.typical - item.neutral) for item in parameters]
@@ -142,10 +134,8 @@ def log_occam(
         unit = np.where(shapes, widths, scale * sizes)
         known, directions = np.linalg.eigh(information * np.outer(unit, unit))
         known = np.clip(known, 0.0, LARGEST)
-        size, pull = directions.T @ (away / unit), directions.T @ (slope * unit)
-        # Equation (2) along each direction; the large terms of it cancel.
-        own = (0.5 * pull**2 - pull * size - 0.5 * known * size**2) / (1.0 + known)
-        terms.append(float(np.sum(own - 0.5 * np.log1p(known))))
+        size = directions.T @ (away / unit)
+        terms.append(-0.5 * float(np.sum(known * size**2 / (1.0 + known) + np.log1p(known))))
     return float(logsumexp(terms) - math.log(len(terms)))
 
 
@@ -186,6 +176,6 @@ def log_evidence(
     cause = more.causes[-1]
     own = parameters_of(problem, cause)
     known = information_of(problem, more, len(more.causes) - 1)
-    occam = log_occam(cause, own, known, scales, precision(problem, cause))
+    occam = log_occam(cause, own, known, scales)
     others = log_prior(problem, more.causes[:-1]) - log_prior(problem, fewer.causes)
     return (gain(more, fewer) if gained is None else gained) + others + occam

@@ -91,8 +91,8 @@ def _log_odds_of(
     for place, cause in enumerate(more.causes):
         if cause.name in names:
             parameters = parameters_of(pool.problem, cause)
-            own, prior = information_of(pool.problem, more, place), precision(pool.problem, cause)
-            odds += log_occam(cause, parameters, own, pool.settings.prior_scales, prior)
+            own = information_of(pool.problem, more, place)
+            odds += log_occam(cause, parameters, own, pool.settings.prior_scales)
             odds += pool.log_prior(cause)
     return odds
 
@@ -149,11 +149,8 @@ def _linear_odds(
         prior, inside = precision(pool.problem, cause), sizes[own]
         known = information_of_logs(spread[np.ix_(own, own)], prior)
         of_sizes = information_of_logs(spread[np.ix_(own & sizes, own & sizes)], prior[inside])
-        size = away[own & sizes]
-        gained = float(size @ (prior[inside] * size + 0.5 * of_sizes @ size))
-        occam = log_occam(
-            cause.with_values(values), parameters, known, pool.settings.prior_scales, prior
-        )
+        gained = 0.5 * float(away[own & sizes] @ of_sizes @ away[own & sizes])
+        occam = log_occam(cause.with_values(values), parameters, known, pool.settings.prior_scales)
         odds[cause.name] = gained + occam + pool.log_prior(cause)
     return odds
 
