@@ -10,8 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from waferbot_twin.diagnosis.inference import elimination
 from waferbot_twin.diagnosis.inference.elimination import _eliminated, _linear_odds
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import Cause
@@ -81,3 +83,60 @@ def test_without_a_covariance_nothing_is_out():
     found = least_squares(np.eye(4), np.zeros(4), NAMES)
     nothing_known = Hypothesis(found.causes, {}, {})
     assert _eliminated(POOL, nothing_known, [cause.name for cause in found.causes]) == []
+
+
+def effect_of(cause):
+    found = SimpleNamespace(causes=(cause,))
+    return SingleEffect((Member(found, 0.0, -3.0, 1.0),), 0.0)
+
+
+def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch):
+    """The linear problem is wrong of what was asked for, so it is not relied on for the others."""
+    every = tuple(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES)
+    by_linear = {'one:x': -9.0, 'two:x': 50.0, 'three:x': 60.0, 'four:x': 40.0}
+    by_logs = {'one:x': 15.0, 'two:x': 20.0, 'three:x': -5.0, 'four:x': 99.0}
+    asked = []
+
+    def without(problem, found, names, workers=1):
+        asked.extend(names)
+        return SimpleNamespace(causes=tuple(c for c in found.causes if c.name not in names))
+
+    def evidence(problem, more, fewer, scales):
+        return by_logs[more.causes[-1].name]
+
+    def last(problem, found, name):
+        own = [cause for cause in found.causes if cause.name == name]
+        return SimpleNamespace(causes=(*(c for c in found.causes if c.name != name), *own))
+
+    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
+    monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
+    monkeypatch.setattr(elimination, 'without', without)
+    monkeypatch.setattr(elimination, 'with_last', last)
+    monkeypatch.setattr(elimination, 'log_evidence', evidence)
+    pool = SimpleNamespace(**vars(POOL), workers=1)
+    one, two, three, four = (effect_of(cause) for cause in every)
+    found, left = elimination.evident(
+        pool, SimpleNamespace(causes=every), [one, four], [two, three]
+    )
+    assert [effect.best.cause.name for effect in left] == ['one:x', 'four:x', 'two:x']
+    assert [cause.name for cause in found.causes] == ['one:x', 'two:x', 'four:x']
+    assert asked == ['one:x', 'two:x', 'three:x']  # least evident first, four was asked for before
+    assert left[0].inclusion == pytest.approx(1.0 / (1.0 + np.exp(-12.0)))
+
+
+def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):
+    """One gains 12 in ln L, five nothing: together they are not evident, and still one is needed."""
+    seed = 20261126
+    print(f'seed {seed}')
+    columns = np.linalg.qr(np.random.default_rng(seed).standard_normal((200, 4)))[0]
+    found = least_squares(columns, 5.0 * columns[:, 0], NAMES)
+    fewer = least_squares(columns[:, 1:], np.zeros(200), NAMES[1:])
+    monkeypatch.setattr(elimination, 'gain', lambda more, fewer: 12.5)
+    monkeypatch.setattr(elimination, 'without', lambda *arguments: fewer)
+    monkeypatch.setattr(
+        elimination,
+        '_eliminated',
+        lambda pool, found, names: [cause.name for cause in found.causes],
+    )
+    pool = SimpleNamespace(**vars(POOL), workers=1)
+    assert elimination._without_some(pool, found, NAMES) is None

@@ -34,33 +34,37 @@ def evident(
     Return a hypothesis without those effects that are not evident beside all others.
 
     Backward elimination: the one that the linear problem finds least evident goes first, the rest is
-    fitted anew without it; where the logs then want it back, the others are evident, too.
+    fitted anew without it. Where the logs then want it back, those that were asked for before are
+    evident, too. What came along (`tentative`) was never asked for: each of these has to be wanted back
+    itself.
     """
     problem, left = pool.problem, [*effects, *tentative]
-    while left:
-        again = _without_some(pool, found, [effect.best.cause.name for effect in left])
+    open_ones = {one.best.cause.name for one in left}
+    odds_of: dict[str, float] = {}
+    while open_ones:
+        again = _without_some(pool, found, sorted(open_ones))
         if again is not None:
             names = {cause.name for cause in again.causes}
             found, left = again, [one for one in left if one.best.cause.name in names]
+            open_ones &= names
             continue
         by_linear = _linear_odds(pool, found)
-        least = min(left, key=lambda effect: by_linear[effect.best.cause.name])
-        name = least.best.cause.name
+        name = min(sorted(open_ones), key=lambda one: by_linear[one])
         base = without(problem, found, [name], pool.workers)
         more = with_last(problem, found, name)
         odds = log_evidence(problem, more, base, pool.settings.prior_scales)
         odds += pool.log_prior(more.causes[-1])
+        open_ones.discard(name)
         if odds > log_odds_at(pool.settings.included_from):
-            by_linear = {key: max(own, odds) for key, own in by_linear.items()} | {name: odds}
-            asked = {id(one) for one in effects} - {id(least)}
-            left = [
-                one if id(one) in asked else with_odds(one, by_linear[one.best.cause.name])
-                for one in left
-            ]
-            break
-        left = [one for one in left if one is not least]
-        found = base
-    return found, left
+            odds_of[name] = odds
+            open_ones &= {one.best.cause.name for one in tentative}
+        else:
+            left = [one for one in left if one.best.cause.name != name]
+            found = base
+    return found, [
+        with_odds(one, odds_of[one.best.cause.name]) if one.best.cause.name in odds_of else one
+        for one in left
+    ]
 
 
 def _without_some(
@@ -69,32 +73,37 @@ def _without_some(
     """
     Return a hypothesis without all causes that the linear problem finds not evident, if those are many.
 
-    Half of them if the logs want them back, and so on; None if that is less than two.
+    Half of them if the logs may want one back, and so on; None if that is less than two.
     """
     out = _eliminated(pool, found, names)
     while len(out) > 1:
         again = without(pool.problem, found, out, pool.workers)
-        if _log_odds_of(pool, found, again, out) <= 0.0:
+        if _most_odds_of_one(pool, found, again, out) <= 0.0:
             return again
         out = out[: len(out) // 2]
     return None
 
 
-def _log_odds_of(
+def _most_odds_of_one(
     pool: CandidatePool, more: Hypothesis, fewer: Hypothesis, names: Sequence[str]
 ) -> float:
-    """Return ln of the odds that all of some causes are there, by a hypothesis without them."""
+    """Return ln of the odds of one of some causes at most: as if it alone gained what all of them do."""
     kept = [cause for cause in more.causes if cause.name not in names]
-    odds = (
+    gained = (
         gain(more, fewer) + log_prior(pool.problem, kept) - log_prior(pool.problem, fewer.causes)
     )
-    for place, cause in enumerate(more.causes):
-        if cause.name in names:
-            parameters = parameters_of(pool.problem, cause)
-            own = information_of(pool.problem, more, place)
-            odds += log_occam(cause, parameters, own, pool.settings.prior_scales)
-            odds += pool.log_prior(cause)
-    return odds
+    scales = pool.settings.prior_scales
+    return gained + max(
+        log_occam(
+            cause,
+            parameters_of(pool.problem, cause),
+            information_of(pool.problem, more, place),
+            scales,
+        )
+        + pool.log_prior(cause)
+        for place, cause in enumerate(more.causes)
+        if cause.name in names
+    )
 
 
 def _eliminated(pool: CandidatePool, found: Hypothesis, names: Sequence[str]) -> list[str]:
