@@ -15,7 +15,7 @@ distance from the thesis in tolerances and, with --out, writes:
   as_built_pmac.yaml     the I-variables in which its controller differs
 
 --quick searches for a few generations only; --evaluate not at all: it prints what the shipped
-values give.
+values give. --start begins at other values: a calibrated.yaml that --out wrote, or parts of one.
 """
 
 from __future__ import annotations
@@ -55,7 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument('--quick', action='store_true', help='a few generations, about a minute')
-    how.add_argument('--evaluate', action='store_true', help='only evaluate the shipped values')
+    how.add_argument('--evaluate', action='store_true', help='only evaluate, search nothing')
+    parser.add_argument(
+        '--start', type=Path, metavar='FILE', help='begin at the values of a calibrated.yaml'
+    )
     parser.add_argument('--out', type=Path, metavar='DIR', help='write the result to this folder')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
@@ -65,21 +68,22 @@ def execute(options: argparse.Namespace) -> int:
     """Search, print and write."""
     from waferbot_twin.calibration.search import STAGES as KNOWN
     from waferbot_twin.calibration.search import search
-    from waferbot_twin.calibration.values import calibrated
+    from waferbot_twin.calibration.values import CALIBRATED, started_from
 
     output = OutputFolder(options.out, options.force) if options.out else None
     generations = 0 if options.evaluate else QUICK_GENERATIONS if options.quick else None
-    values = calibrated()
-    as_built = calibrated('as_built_payload', 'as_built_y_rotate')
+    start = started_from(options.start or CALIBRATED)
+    values = start['payload'] | start['y_rotate']
+    as_built = start['as_built_payload'] | start['as_built_y_rotate']
     result: dict[str, Any] = {}
     stages = options.stage or STAGES
     for number, name in enumerate(stages, 1):
         stage = KNOWN[name]
         begun_s = time.perf_counter()
         departs = name.startswith('as_built')
-        start = as_built if departs else values
+        begun_at = as_built if departs else values
         with progress_bar(f'calibrating {name} ({number} of {len(stages)})') as progress:
-            found = search(stage, start, generations, progress)
+            found = search(stage, begun_at, generations, progress)
         if departs:
             as_built = found
         else:
