@@ -108,6 +108,40 @@ def test_mesh_stiffness_and_shaft_force():
     assert belt.shaft_force_n(BELT) == pytest.approx(expected, rel=1e-12)
 
 
+def test_teeth_that_give_are_a_chain_of_three_springs():
+    """One newton on the rim of a pulley, the other held: solved for the ends of the cords."""
+    soft = dataclasses.replace(BELT, tooth_stiffness_n_per_m=2.0e5, virtual_teeth_share=0.8)
+    small, large = (0.8 * belt.teeth_in_mesh(BELT, driven) * 2.0e5 for driven in (False, True))
+    cords = belt.axial_stiffness_n_per_m(BELT)
+    matrix = np.array(
+        [[small, -small, 0.0], [-small, small + cords, -cords], [0.0, -cords, cords + large]]
+    )
+    moved = np.linalg.solve(matrix, [1.0, 0.0, 0.0])[0]
+    assert belt.stiffness_n_per_m(soft) == pytest.approx(1.0 / moved, rel=1e-12)
+    assert belt.drive_stiffness_nm_per_rad(soft, 2000.0) < belt.drive_stiffness_nm_per_rad(
+        BELT, 2000.0
+    )
+
+
+def test_teeth_without_a_stiffness_do_not_give():
+    assert belt.stiffness_n_per_m(BELT) == belt.axial_stiffness_n_per_m(BELT)
+    hard = dataclasses.replace(BELT, tooth_stiffness_n_per_m=1e15)
+    assert belt.stiffness_n_per_m(hard) == pytest.approx(450e3, rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ('change', 'message'),
+    [
+        ({'tooth_stiffness_n_per_m': 0.0}, 'tooth_stiffness'),
+        ({'tooth_stiffness_n_per_m': 1e5, 'virtual_teeth_share': 1.2}, 'at most 1'),
+        ({'virtual_teeth_share': 0.8}, 'give both'),
+    ],
+)
+def test_bad_teeth_are_refused(change, message):
+    with pytest.raises(UserError, match=message):
+        dataclasses.replace(BELT, **change)
+
+
 @given(st.floats(1e-4, 1.0), st.floats(1e-4, 1.0), st.floats(0.005, 0.1), st.floats(0.005, 0.1))
 def test_belt_frequency_is_the_eigenvalue_of_two_pulleys(first, second, drive, driven):
     """Equation (5.36): belt stretch r1 a1 - r2 a2, kinetic energies of both inertias."""

@@ -150,7 +150,7 @@ def stiffness(part: Any, direction: str, carried: Callable[[], Carried]) -> tupl
     if isinstance(part, Gearbox):
         return gearbox.torsional_stiffness_nm_per_rad(part), True
     if isinstance(part, Belt):
-        return belt.axial_stiffness_n_per_m(part), False
+        return belt.stiffness_n_per_m(part), False
     return cable.effective_stiffness_n_per_m(part), False
 
 

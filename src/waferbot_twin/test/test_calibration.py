@@ -230,7 +230,8 @@ def test_calibrate_command(tmp_path, capsys) -> None:
     result = json.loads(capsys.readouterr().out)
     assert len(result['y_rotate']['rows']) == 12
     assert sorted(path.name for path in out.glob('[!.]*')) == [
-        'as_built_overlay.yaml', 'calibrated.yaml', 'machine_overlay.yaml', 'pmac.yaml',
+        'as_built_overlay.yaml', 'as_built_pmac.yaml', 'calibrated.yaml', 'machine_overlay.yaml',
+        'pmac.yaml',
     ]  # fmt: skip
     assert main([*arguments, '--out', str(out)]) == 1
     assert '--force' in capsys.readouterr().err

@@ -44,6 +44,40 @@ def tolerance(column: str, figure: str) -> Tolerance:
     return Tolerance(0.10, relative=True)
 
 
+RMS_TOLERANCE = Tolerance(0.15, relative=True)
+"""Of an RMS error (4.2): it sums what all the figures of two curves, 5 and 10 % each, are off by."""
+
+UNCHANGED_PERCENT = 10.0
+"""Largest improvement that stands for a printed zero: `do not change`, a tenth as in all statements."""
+
+SIGNIFICANTLY = 1.2
+"""What chapter 4 calls significantly more: by more than the 20 % that it calls agreement."""
+
+
+def improvement_admits(printed_percent: float, ours_percent: float) -> bool:
+    """
+    Return whether an improvement (6.1) of a figure is that of the thesis: better, worse or unchanged.
+
+    Its size is a quotient of two differences that may both be small, each held by a row of its own; so
+    the sign is demanded, and where zero is printed no more than `UNCHANGED_PERCENT` either way.
+    """
+    if printed_percent == 0.0:
+        return abs(ours_percent) <= UNCHANGED_PERCENT
+    return ours_percent * printed_percent > 0.0
+
+
+def run_time_admits(model: str, ratio: float, flexible_ratio: float) -> bool:
+    """
+    Return whether a model takes its time as chapter 6 says; times over that of the rigid model.
+
+    Flexible components significantly increase it, and the simplified model takes it back in part.
+    The ratios themselves are those of a solver that takes smaller steps where a model is stiffer.
+    """
+    if model == 'flexible':
+        return ratio > SIGNIFICANTLY
+    return 1.0 < ratio < flexible_ratio
+
+
 @cache
 def thesis() -> dict[str, Any]:
     """Return everything printed, as in the file."""

@@ -5,8 +5,8 @@ The timing belt of the Y-Rotate axis, equations (5.32) to (5.36), and the gearbo
 A polyurethane belt with steel cords runs from the drive pulley on the gearbox to the driven pulley
 on the payload. It is tensioned so that neither span goes slack; then both spans pull on the
 payload, one more and one less, and their stiffnesses add. The cords are what stretches: the teeth
-are much stiffer, and like the thesis the drive takes the axial stiffness only. The mesh stiffness
-(5.33) is here for belts where that does not hold.
+are much stiffer, and like the thesis the drive takes the axial stiffness only. For belts where that
+does not hold, the stiffness of a tooth puts the meshes of both pulleys (5.33) in series with the cords.
 """
 
 from __future__ import annotations
@@ -28,8 +28,11 @@ class Belt:
     width (makers give N for a width); lengths in m, numbers of teeth whole, `span_pretension_n`
     the tension of each span at rest in N. What it may bear, for the check of a run (see
     `waferbot_plant.validity`): `allowed_span_tension_n`, of one span, in N, if the maker states it;
-    `friction_coefficient` of a flat belt on its pulleys, without which the belt is toothed. Raises
-    `UserError` for values out of range and for a belt that does not reach around its pulleys.
+    `friction_coefficient` of a flat belt on its pulleys, without which the belt is toothed.
+    `tooth_stiffness_n_per_m` is k_tooth of (5.33) in N/m, without which teeth do not give, and
+    `virtual_teeth_share` z_mv / z_m, the maker's correction for teeth that share the load unequally, 1
+    without one. Raises `UserError` for values out of range and for a belt that does not reach around
+    its pulleys.
     """
 
     specific_stiffness_n_per_m: float
@@ -42,6 +45,8 @@ class Belt:
     loss_factor: float
     allowed_span_tension_n: float | None = None
     friction_coefficient: float | None = None
+    tooth_stiffness_n_per_m: float | None = None
+    virtual_teeth_share: float | None = None
 
     def __post_init__(self) -> None:
         """Check the data."""
@@ -56,10 +61,20 @@ class Belt:
                 raise UserError(f'belt: {name} is {teeth!r}; give a whole number.')
         require_positive(self.span_pretension_n, 'belt: span_pretension_n')
         require_not_negative(self.loss_factor, 'belt: loss_factor')
-        for name in ('allowed_span_tension_n', 'friction_coefficient'):
+        for name in (
+            'allowed_span_tension_n', 'friction_coefficient', 'tooth_stiffness_n_per_m',
+            'virtual_teeth_share',
+        ):  # fmt: skip
             value = getattr(self, name)
             if value is not None:
                 require_positive(value, f'belt: {name}')
+        share = self.virtual_teeth_share
+        if share is not None and share > 1.0:
+            raise UserError(f'belt: virtual_teeth_share is {share!r}; it is at most 1, all teeth.')
+        if share is not None and self.tooth_stiffness_n_per_m is None:
+            raise UserError(
+                'belt: virtual_teeth_share goes with tooth_stiffness_n_per_m; give both.'
+            )
         centre_distance_m(self)
 
     @property
@@ -200,16 +215,34 @@ def mesh_stiffness_n_per_m(virtual_teeth_in_mesh: float, tooth_stiffness_n_per_m
     return virtual_teeth_in_mesh * tooth_stiffness_n_per_m
 
 
+def stiffness_n_per_m(belt: Belt) -> float:
+    """
+    Return the stiffness of a belt in N/m, at the pitch circle of one pulley with the other held.
+
+    1/k = 1/k_a + 1/k_m1 + 1/k_m2: cords (5.32) and the meshes of both pulleys (5.33), each with its own
+    number of teeth in mesh (5.34). k = k_a where `tooth_stiffness_n_per_m` is not given.
+    """
+    axial = axial_stiffness_n_per_m(belt)
+    if belt.tooth_stiffness_n_per_m is None:
+        return axial
+    share = 1.0 if belt.virtual_teeth_share is None else belt.virtual_teeth_share
+    meshes = (
+        mesh_stiffness_n_per_m(share * teeth_in_mesh(belt, driven), belt.tooth_stiffness_n_per_m)
+        for driven in (False, True)
+    )
+    return 1.0 / (1.0 / axial + sum(1.0 / mesh for mesh in meshes))
+
+
 def drive_stiffness_nm_per_rad(belt: Belt, gearbox_stiffness_nm_per_rad: float) -> float:
     """
     Return the torsional stiffness of gearbox and belt in series at the payload, in Nm/rad.
 
-    The belt alone is k_a r_2^2; the gearbox, stiffness given at its output, is seen through the
+    The belt alone is k r_2^2; the gearbox, stiffness given at its output, is seen through the
     belt as kappa_g (r_2/r_1)^2. What this leaves out: the pulleys' inertia between the two
     springs.
     """
     require_positive(gearbox_stiffness_nm_per_rad, 'gearbox stiffness')
-    belt_stiffness = axial_stiffness_n_per_m(belt) * belt.driven_pulley_radius_m**2
+    belt_stiffness = stiffness_n_per_m(belt) * belt.driven_pulley_radius_m**2
     return series_stiffness(belt_stiffness, gearbox_stiffness_nm_per_rad * belt.ratio**2)
 
 

@@ -17,6 +17,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.calibration.demands import charge
 from waferbot_twin.calibration.values import Values
 from waferbot_twin.engines.inprocess import Runaway, Twin
 from waferbot_twin.metrics import FIGURES
@@ -59,15 +60,20 @@ class Residual:
 
 @dataclass
 class Evaluation:
-    """Residuals of a candidate, and penalties by the condition that they are for."""
+    """
+    Residuals of a candidate, penalties by the condition that they are for, and further demands.
+
+    `demands` are those of `calibration.demands`, by name: 0 for one that is met, else its distance.
+    """
 
     residuals: list[Residual] = field(default_factory=list)
     penalties: dict[str, float] = field(default_factory=dict)
+    demands: dict[str, float] = field(default_factory=dict)
 
     @property
     def cost(self) -> float:
-        """What is minimised: misfit beyond 0.8 tolerances, a little of all misfit, penalties."""
-        total = sum(self.penalties.values())
+        """What is minimised: misfit beyond 0.8 tolerances, a little of all, penalties, demands."""
+        total = sum(self.penalties.values()) + charge(self.demands.values())
         for residual in self.residuals:
             if residual.figure == 'peak':  # the same as the overshoot
                 continue
