@@ -47,6 +47,7 @@ COMMANDS = {
     'tune': 'tune',
     'sweep': 'sweep',
     'optimise': 'optimise',
+    'size': 'size',
     'feedforward': 'feedforward',
     'export-fmu': 'export_fmu',
     'export-model': 'export_model',
