@@ -44,6 +44,7 @@ COMMANDS = {
     'frf': 'frf',
     'suggest': 'suggest',
     'library': 'library',
+    'commission': 'commission',
     'tune': 'tune',
     'sweep': 'sweep',
     'optimise': 'optimise',
