@@ -113,9 +113,10 @@ MISTAKES = {
         (*FAST, '--without', 'pmac'),
         '--without is for nodes over ROS; with --engine inprocess there are none',
     ),
+    'no FMU': (('run', '--plant', 'plant.fmu'), 'plant.fmu: no such file'),
     'nodes beside an FMU': (
-        ('run', '--plant', 'plant.fmu', '--device-clock', 'hold'),
-        '--device-clock is for nodes over ROS; with --plant there are none',
+        ('run', '--plant', 'plant.fmu', '--engine', 'inprocess', '--device-clock', 'hold'),
+        '--device-clock is for nodes over ROS; with --engine inprocess there are none',
     ),
 }
 

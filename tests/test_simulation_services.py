@@ -143,11 +143,11 @@ def test_in_lockstep_there_is_no_way_back(twin):
 @pytest.mark.parametrize('twin', ['realtime'], indirect=True)
 def test_in_real_time_all_begin_anew_with_the_plant(twin):
     plant, pmac, copley = twin.nodes
-    beginning = plant._model_state.tobytes()
+    beginning = plant._mechanism.state.tobytes()
     assert twin.step(300) == ''
-    assert plant._model_state.tobytes() != beginning
+    assert plant._mechanism.state.tobytes() != beginning
     assert plant.reset() == ''
-    assert plant._model_state.tobytes() == beginning
+    assert plant._mechanism.state.tobytes() == beginning
     twin.stands(0)
     assert (pmac.tick, copley.tick) == (8, 1), 'they have answered tick 0'
     assert twin.step(400) == ''

@@ -28,16 +28,16 @@ def node(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.slow
 def test_node_begins_where_the_motors_hold_the_weight(node) -> None:
-    expected = node._machine.resting_state(node._model_parameters)
-    assert node._model_state.tobytes() == expected.tobytes()
-    assert abs(node._model_state[0]['winding_current'][1]).max() > 1.0
+    expected = node._mechanism._machine.resting_state(node._mechanism.parameters)
+    assert node._mechanism.state.tobytes() == expected.tobytes()
+    assert abs(node._mechanism.state[0]['winding_current'][1]).max() > 1.0
     node.begin()
     assert node.outcome is None
 
 
 @pytest.mark.slow
 def test_node_stops_with_axis_and_tick_when_the_plant_blew_up(node) -> None:
-    node._model_state[0]['velocity'][1] = np.nan
+    node._mechanism.state[0]['velocity'][1] = np.nan
     node.begin()
     assert 'blew up by tick 0' in node.outcome
     assert 'axis x_rotate' in node.outcome
@@ -57,7 +57,7 @@ def test_diagnostics_warn_of_a_belt_that_is_slack(monkeypatch: pytest.MonkeyPatc
     try:
         plant_node.begin()
         assert plant_node.diagnostics()[1] == []
-        machine, state = plant_node._machine, plant_node._model_state
+        machine, state = plant_node._mechanism._machine, plant_node._mechanism.state
         row, ratio = machine.assembly.placing['y_rotate']
         state[0]['position'][row] += 0.2 / ratio  # the motor stands: 0.2 rad is far beyond 2 F_pre
         plant_node._publish_slow_topics(180)

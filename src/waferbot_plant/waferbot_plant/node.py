@@ -39,6 +39,7 @@ from waferbot_lockstep.contract import (
     SLOW_DIVIDER,
     Topic,
 )
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import (
     LOCKSTEP,
@@ -61,6 +62,7 @@ from waferbot_lockstep.standard_messages import (
 from waferbot_lockstep.wire import WireFormat
 from waferbot_msgs.msg import PlantState, Recorded
 from waferbot_plant import loads, plant
+from waferbot_plant.mechanisms import mechanism
 from waferbot_plant.motors import check_windings
 from waferbot_plant.node_settings import PLANT_SETTINGS
 from waferbot_plant.pace import LONGEST_LAG_S, Pace
@@ -103,21 +105,26 @@ class PlantNode(LockstepNode):
         self._recorder_heard_s = 0.0
         machine = plant.load_machine(description, damping=damping, timing=self.timing)
         check_windings(machine.description)
-        self._model_parameters = machine.parameters()
-        self._model_state = machine.resting_state(self._model_parameters)
-        self._machine = machine
+        self._mechanism = mechanism(
+            machine,
+            str(
+                self.declare_fixed(
+                    'fmu', '', 'file of an FMU in the place of the model; empty: none'
+                )
+            ),
+            str(self.declare_fixed('fmu_map', '', 'YAML file: what the FMU calls its variables')),
+            self.timing,
+        )
         self._tick = 0
         self._counts = np.zeros(4, np.int64)
         self._line_currents = np.zeros(2 * len(AXES))
         self._position = np.zeros(len(AXES))
         self._velocity = np.zeros(len(AXES))
-        self._loads = loads.begin()
         self._borne = np.zeros(loads.WIDTH)
         self._watch = Watch(machine)
         self._plant_state = WireFormat(PLANT_STATE[1])
         self._due = False
         self._measured_s = 0.0
-        self._warm_up(machine)
         self._clock_outlet = self._slow_outlet(ClockMessage, CLOCK[0])
         self._joint_outlet = self._slow_outlet(JointState, JOINT_STATES[0])
         self._plant_state_outlet = self._slow_outlet(PlantState, PLANT_STATE[0])
@@ -210,9 +217,11 @@ class PlantNode(LockstepNode):
         """Integrate over this tick with the voltages held, then measure at the next one."""
         self._due = False
         inbox = self.inboxes[PHASE_VOLTAGES]
-        for axis in range(len(AXES)):
-            self._model_state['terminals_open'][0, axis] = inbox.mask >> axis & 1
-        plant.advance(self._model_state, self._model_parameters, inbox.values)
+        try:
+            self._mechanism.advance(self._tick, inbox.values, inbox.mask)
+        except UserError as error:
+            self.fail(str(error))
+            return
         self._tick += 1
         if self.end_tick and self._tick >= self.end_tick:
             self.finish()
@@ -230,17 +239,19 @@ class PlantNode(LockstepNode):
             self._measured_s = time.monotonic()
             self.inboxes[PHASE_VOLTAGES].reach(tick, self._measured_s)
         if tick % SLOW_DIVIDER == 0:
-            coordinate = plant.runaway(self._model_state)
-            if coordinate >= 0:
-                self.fail(self._machine.runaway_message(coordinate, tick))
+            runaway = self._mechanism.runaway(tick)
+            if runaway:
+                self.fail(runaway)
                 return
-        plant.measure(
-            self._model_state, self._model_parameters, tick, self._counts, self._line_currents
-        )
+        try:
+            self._mechanism.measure(tick, self._counts, self._line_currents)
+        except UserError as error:
+            self.fail(str(error))
+            return
         if tick % SLOW_DIVIDER == 0:
             self._publish_slow_topics(tick)
         if tick % self.timing.servo_divider == 0:
-            loads.note(self._model_state, self._model_parameters, self._loads)
+            self._mechanism.note_loads()
         if tick % self.timing.encoder_divider == 0:
             self.give(ENCODERS_TOPIC, tick, ALL_ENCODERS, self._counts.tolist())
         self.give(PHASE_CURRENTS, tick, ALL_AXES, self._line_currents.tolist())
@@ -248,9 +259,7 @@ class PlantNode(LockstepNode):
     def _publish_slow_topics(self, tick: int) -> None:
         stamp_ns = self.timing.stamp_ns(tick)
         self.publish(self._clock_outlet, clock_message(stamp_ns))
-        plant.joint_positions(
-            self._model_state, self._model_parameters, self._position, self._velocity
-        )
+        self._mechanism.joints(self._position, self._velocity)
         self.publish(
             self._joint_outlet,
             joint_state_message(
@@ -260,7 +269,8 @@ class PlantNode(LockstepNode):
                 self._velocity.tolist(),
             ),
         )
-        loads.take(self._model_state, self._model_parameters, self._loads, self._borne)
+        if not self._mechanism.take_loads(self._borne):
+            return
         self._watch.note(loads.Loads.of_rows(np.array([tick]), self._borne[np.newaxis]))
         self.publish(
             self._plant_state_outlet,
@@ -312,8 +322,7 @@ class PlantNode(LockstepNode):
             self._end_stepping('reset by somebody else')
         self._pace.stop()
         self._tick = 0
-        self._model_state[:] = self._machine.resting_state(self._model_parameters)
-        self._loads[:] = loads.begin()
+        self._mechanism.reset()
         self._watch.forget()
         self.inboxes[PHASE_VOLTAGES].forget()
         self._measure()
@@ -368,18 +377,6 @@ class PlantNode(LockstepNode):
                 f'for {self.timing.current_loop_hz / 1000:g} kHz over these processes',
             ),
         ]
-
-    def _warm_up(self, machine: Any) -> None:
-        """Compile before the first message, so that no peer waits for the compiler."""
-        state = machine.initial_state(self._model_parameters)
-        plant.measure(
-            state, self._model_parameters, 0, self._counts.copy(), self._line_currents.copy()
-        )
-        plant.advance(state, self._model_parameters, np.zeros(3 * len(AXES)))
-        plant.joint_positions(state, self._model_parameters, self._position, self._velocity)
-        plant.runaway(state)
-        borne = loads.begin()
-        loads.take(state, self._model_parameters, borne, np.zeros(loads.WIDTH))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,8 +15,10 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
+from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.identification.conditioning import conditioning, in_words
-from waferbot_twin.identification.estimation import estimate
+from waferbot_twin.identification.estimation import estimate, with_known
 from waferbot_twin.identification.identify import identify
 from waferbot_twin.identification.named_parameters import NamedParameter, parse, parse_all
 from waferbot_twin.identification.report import as_dict
@@ -262,6 +264,37 @@ def test_standard_errors_with_white_noise_are_analytic():
     assert found.conditioning.standard_errors == pytest.approx(expected, rel=0.1)
 
 
+def test_half_the_data_and_what_was_known_have_the_same_intervals_and_hold_the_truth():
+    """Of a first log and half a second one; against the second one alone, whole."""
+    random = np.random.default_rng(13)
+    truth = np.array([1.3, 0.6])
+    matrix = random.normal(size=(2000, 2)) @ np.array([[1.0, 0.6], [0.0, 1.0]])
+    parameters = [named('a', 1.0), named('b', 1.0)]
+    deviations = []
+    for _ in range(50):
+        logs = [
+            LinearProblem(
+                LinearModel({'a': 1.0, 'b': 1.0}),
+                matrix[:rows],
+                matrix[:rows] @ truth + 0.3 * random.normal(size=rows),
+            )
+            for rows in (2000, 2000, 1000)
+        ]
+        first, whole = (estimate(one, parameters, silent) for one in logs[:2])
+        known = {
+            one.path: Known(one.value(scaled), one.value(scaled) * error)
+            for one, scaled, error in zip(
+                parameters, first.scaled, first.conditioning.standard_errors, strict=True
+            )
+        }
+        half, told = with_known(logs[2], estimate(logs[2], parameters, silent), known)
+        assert all(note.endswith('that took part') for note in told)
+        assert (half.conditioning.standard_errors < whole.conditioning.standard_errors).all()
+        deviations.append((half.scaled - np.log(truth)) / half.conditioning.standard_errors)
+    # 100 intervals; what is known of two parameters is passed on without their correlation, -0.6.
+    assert 0.87 <= (np.abs(deviations) < 1.96).mean() <= 1.0
+
+
 def log(variant, experiment, seed, duration_s):
     shaking = noise(variant.base, 1.0, seed, np.random.default_rng(seed))
     timing = Timing()
@@ -330,3 +363,29 @@ def test_force_constant_and_inertia_of_a_frictionless_axis_are_known_as_a_ratio(
     assert move[names[0]] / move[names[1]] == pytest.approx(whole / load, rel=0.02)
     start = 0.12665 + 10.025 * 0.11081**2 + 48.0**2 * (1.9092e-5 + 1.3e-5)
     assert motor / whole == pytest.approx(1.05 * 0.1386 / start, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_second_identification_of_a_machine_needs_half_the_data(rigid):
+    truth = {'bodies.x_rotate_load.inertia_kg_m2.xx': 1.1}
+    machine = changed(rigid, truth)
+    (path,) = truth
+    parameters = parse_all([path], rigid)
+
+    def found(seed, duration_s, known=None):
+        logs = [log(machine, 'random_x_rotate', seed, duration_s)]
+        result = identify(rigid, logs, logs, parameters, silent, known)
+        return result, as_dict(result)['parameters'][path]
+
+    _, first = found(31, 0.8)
+    error = (first['high95'] - first['low95']) / (2.0 * NORMAL_95)
+    known = {path: Known(first['value'], error, 'the first')}
+    _, whole = found(33, 0.8)  # noise of the same level: each seed has its own
+    result, half = found(33, 0.4, known)
+    assert half['high95'] - half['low95'] <= whole['high95'] - whole['low95']
+    off = abs(half['value'] - 1.1 * half['start'])
+    assert off < half['high95'] - half['low95']  # two intervals
+    assert any('the first); that took part' in note for note in result.notes)
+    far = {path: Known(0.8 * first['value'], error, 'the first')}
+    result, _ = found(33, 0.4, far)
+    assert any('what has changed?' in note for note in result.notes)

@@ -21,6 +21,7 @@ from waferbot_twin.diagnosis.diagnose import FoundCause
 from waferbot_twin.diagnosis.diagnose import diagnose as diagnose_records
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
+from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
 
@@ -174,6 +175,8 @@ def diagnose(
     settings: Settings | None = None,
     workers: int | None = None,
     progress: Callable[[str, int, int], None] | None = None,
+    library: str | Path | None = None,
+    machine: str = '',
 ) -> Diagnosis:
     """
     Find what a model gets wrong in logs, and why.
@@ -181,8 +184,9 @@ def diagnose(
     Causes, probabilities and intervals are those of all logs together. The gain is that in `validation`,
     logs with another motion, of the same causes fitted to `logs` alone; what loses there is withdrawn.
     Without `validation` it is measured in the last part of each log. `without` names effects that are
-    left out of the library; `workers` is a number of processes, all cores by default; `progress` is told
-    what is done, how much of it, and of how much. Raises `UserError` if logs
+    left out of the library of effects. `library` is a file of `waferbot library`: what it knows of
+    `machine` from earlier logs takes part. `workers` is a number of processes, all cores by default;
+    `progress` is told what is done, how much of it, and of how much. Raises `UserError` if logs
     are too short or lack signals, or if the model does not run in their motions.
     """
     for name in without:
@@ -200,6 +204,7 @@ def diagnose(
         workers or os.cpu_count() or 1,
         without,
         settings,
+        read_known(None if library is None else Path(library), machine),
     )
     return Diagnosis(
         model,

@@ -16,6 +16,7 @@ from waferbot_twin.identification import report
 from waferbot_twin.identification.identify import Identification as Details
 from waferbot_twin.identification.identify import identify as identify_records
 from waferbot_twin.identification.named_parameters import parse_all
+from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
 
@@ -68,14 +69,16 @@ def identify(
     parameters: Sequence[str],
     validation: Sequence[Log] = (),
     progress: Callable[[int, int], None] | None = None,
+    library: str | Path | None = None,
+    machine: str = '',
 ) -> Identification:
     """
     Fit named parameters of a model to logs.
 
     `parameters` are paths, `bodies.carriage.mass_kg`, `pmac.y_linear.Ixx30`, each with a range if it
     has another than ten times smaller or larger, `...=low:high`. `validation` are logs with another
-    motion in which the gain is measured. Raises `UserError` for an unknown path, and if the logs show
-    none of them.
+    motion in which the gain is measured. `library` is a file of `waferbot library`: what it knows of
+    `machine` takes part. Raises `UserError` for an unknown path, and if the logs show none of them.
     """
     details = identify_records(
         model.variant,
@@ -83,6 +86,7 @@ def identify(
         records_of(validation, model),
         parse_all(parameters, model.variant),
         progress or _silent,
+        read_known(None if library is None else Path(library), machine),
     )
     remarks = tuple(report.remarks(details))
     return Identification(model, Model(details.identified), remarks, details)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
@@ -24,13 +24,18 @@ VERSIONED = ('numpy', 'scipy', 'numba', 'mcap', 'ros-jazzy-rclpy', 'ros-jazzy-rm
 
 @dataclass(frozen=True)
 class Plan:
-    """One run of the twin, before it is run; every engine makes the same of it."""
+    """
+    One run of the twin, before it is run; every engine makes the same of it.
+
+    `foreign_plant` says which FMU is in the place of the plant, if there is one.
+    """
 
     model: Model
     experiment: Experiment
     ticks: int
     timing: Timing
     seed: int = 0
+    foreign_plant: Mapping[str, str] | None = None
 
     def attachments(self, engine: str, without: Sequence[str] = ()) -> dict[str, str]:
         """
@@ -38,7 +43,7 @@ class Plan:
 
         `without` names the nodes that somebody else provided.
         """
-        run = {
+        run: dict[str, Any] = {
             'engine': engine,
             'model': self.model.name,
             'experiment': self.experiment.name,
@@ -48,6 +53,8 @@ class Plan:
             'without': list(without),
             'versions': versions(),
         }
+        if self.foreign_plant is not None:
+            run['plant'] = dict(self.foreign_plant)
         return {
             'run.json': as_json(run),
             'model.yaml': self.model.text,

@@ -10,11 +10,12 @@ import numpy as np
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
+from waferbot_plant import signals
 from waferbot_twin.commutation import driving_part, electrical_angle, three_lines
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.metrics import StepMetrics, rms, step_metrics
 
-UNITS = {'y_linear': 'm', 'x_rotate': 'rad', 'y_rotate': 'rad'}
+UNITS = signals.UNITS
 
 
 @dataclass(frozen=True)

@@ -16,13 +16,13 @@ from fmpy.validation import validate_fmu
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.foreign_plant import ForeignPlant
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.fmi.blocks import BLOCKS, COUNTS, LINES, OPEN, POSITIONS, VOLTAGES
 from waferbot_twin.fmi.export import export
-from waferbot_twin.fmi.foreign_plant import ForeignPlant
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.reader import read_recording
 
@@ -107,7 +107,15 @@ def test_recorded_voltages_give_the_recorded_signals(fmu, run, fmi):
 @pytest.mark.parametrize('fmi', ['3', '2'])
 def test_a_run_with_it_as_the_plant_is_the_native_run(fmu, run, tmp_path, fmi):
     out = tmp_path / 'run'
-    arguments = ['run', '--model', 'as_built', '--plant', str(fmu('plant', fmi))]
+    arguments = [
+        'run',
+        '--engine',
+        'inprocess',
+        '--model',
+        'as_built',
+        '--plant',
+        str(fmu('plant', fmi)),
+    ]
     assert main([*arguments, '--duration', '0.1', '--out', str(out)]) == 0
     recording = read_recording(out)
     ticks = TIMING.ticks(0.1)
@@ -201,14 +209,16 @@ def test_what_is_no_fmu_is_refused_in_one_line(tmp_path, capsys):
     file = tmp_path / 'broken.fmu'
     for content in (b'', b'PK\x03\x04'):
         file.write_bytes(content)
-        assert main(['run', '--plant', str(file), '--duration', '0.01']) == 1
+        assert (
+            main(['run', '--engine', 'inprocess', '--plant', str(file), '--duration', '0.01']) == 1
+        )
         error = capsys.readouterr().err
         assert 'broken.fmu' in error
         assert 'Traceback' not in error
     with zipfile.ZipFile(file, 'w') as archive:
         archive.writestr('modelDescription.xml', '<fmiModelDescription fmiVersion="3.0"/>')
-    assert main(['run', '--plant', str(file), '--duration', '0.01']) == 1
-    assert main(['run', '--plant', str(tmp_path / 'gone.fmu')]) == 1
+    assert main(['run', '--engine', 'inprocess', '--plant', str(file), '--duration', '0.01']) == 1
+    assert main(['run', '--engine', 'inprocess', '--plant', str(tmp_path / 'gone.fmu')]) == 1
     assert 'no such file' in capsys.readouterr().err
     assert main(['export-fmu', '--out', str(tmp_path / 'plant.zip')]) == 1
     assert '.fmu' in capsys.readouterr().err

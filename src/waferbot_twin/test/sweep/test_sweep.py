@@ -148,6 +148,22 @@ def test_the_command_writes_table_picture_and_summary(tmp_path, capsys):
     assert not sweep.parts_folder(out).exists()
 
 
+def test_why_points_failed_is_printed(tmp_path, capsys):
+    file = tmp_path / 'short.yaml'
+    file.write_text(SHORT, 'utf-8')
+    arguments = ['sweep', '--model', 'rigid', '--experiment', str(file), '--workers', '1']
+    arguments += [
+        '--vary',
+        'bodies.carriage.mass_kg=-5:4:2',
+        '--measure',
+        'rms_current_a.y_rotate',
+    ]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert '2 points, 1 of them failed' in out
+    assert 'mass' in out.split('failed: ')[1]
+
+
 def test_the_best_gains_within_limits_are_found(tmp_path, capsys):
     """More damping, less overshoot: with a limit of 20 % the smallest gain that keeps it."""
     file, out = tmp_path / 'short.yaml', tmp_path / 'best.yaml'

@@ -68,6 +68,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='leave an effect out of the library',
     )  # fmt: skip
     parser.add_argument(
+        '--library', type=Path, metavar='FILE',
+        help='with --machine: what waferbot library keeps of earlier logs takes part',
+    )  # fmt: skip
+    parser.add_argument(
+        '--machine', default='', metavar='NAME', help='which machine of it this is'
+    )
+    parser.add_argument(
         '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
     )
     parser.add_argument(
@@ -89,6 +96,10 @@ def execute(options: argparse.Namespace) -> int:
 
     if options.workers < 1:
         raise UserError(f'--workers is {options.workers}; it must be at least 1')
+    if options.library is not None and not options.machine:
+        raise UserError(
+            '--library is asked what it knows of one machine: say which with --machine'
+        )
     model = waferbot.load_model(options.model)
     logs, validation = waferbot.load_logs(options.measured), waferbot.load_logs(options.validate)
     output = OutputFolder(options.out, options.force)
@@ -100,6 +111,8 @@ def execute(options: argparse.Namespace) -> int:
             without=options.without,
             workers=cores or options.workers,
             progress=progress,
+            library=options.library,
+            machine=options.machine,
         )
     kept = keep(output, lambda folder: write(result.details, folder))
     if options.json:

@@ -55,6 +55,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='ranges of parameters without one, as waferbot library keeps them',
     )  # fmt: skip
     parser.add_argument(
+        '--machine', default='', metavar='NAME',
+        help='which machine of the library this is: what is known of it takes part, as readings do',
+    )  # fmt: skip
+    parser.add_argument(
         '--validate', nargs='+', type=Path, default=[], metavar='OTHER',
         help='logs with another motion, in which the gain, or the error, is measured',
     )  # fmt: skip
@@ -87,6 +91,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Identify, write the report, print the table."""
     if options.method == LEAST_SQUARES:
+        if options.library or options.machine:
+            raise UserError('--library and --machine belong to --method simulation')
         if options.parameter:
             raise UserError(
                 '--method least-squares names its parameters itself; leave --parameter out'
@@ -111,16 +117,18 @@ def _simulation(options: argparse.Namespace) -> int:
     from waferbot_twin.identification.identify import identify
     from waferbot_twin.identification.named_parameters import parse_all
     from waferbot_twin.identification.report import as_dict, remarks, table_rows, write
+    from waferbot_twin.library.known import read_known
     from waferbot_twin.models import load_model_or_machine
     from waferbot_twin.residuals.load import load_records
 
     nominal = Variant.of(load_model_or_machine(options.model or 'rigid'))
+    known = read_known(options.library, options.machine)
     parameters = parse_all(_with_priors(options, nominal), nominal)
     records = load_records([*options.measured, *options.validate], nominal)
     records, judging = records[: len(options.measured)], records[len(options.measured) :]
     output = None if options.out is None else OutputFolder(options.out, options.force)
     with progress_bar('identification') as progress:
-        result = identify(nominal, records, judging, parameters, progress)
+        result = identify(nominal, records, judging, parameters, progress, known)
     kept = keep(output, lambda folder: write(result, folder))
     if options.json:
         print_json(as_dict(result))

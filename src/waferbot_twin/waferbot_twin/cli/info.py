@@ -79,6 +79,9 @@ def execute(options: argparse.Namespace) -> int:
         f'  experiment {run.get("experiment", "?")} on model {run.get("model", "?")}, '
         f'engine {run.get("engine", "?")}, seed {run.get("seed", "?")}'
     )
+    foreign = run.get('plant')
+    if foreign:
+        print(f'  plant: {foreign.get("fmu", "?")}, FMI {foreign.get("fmi", "?")}')
     print(f'  {result["ticks"]} ticks, {result["sim_s"]:.4f} s of sim time')
     print(f'  {result["state"]}')
     table = Table(box=None, pad_edge=False)

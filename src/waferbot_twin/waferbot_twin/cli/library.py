@@ -5,6 +5,8 @@ The library of identified parameters by type of part, in a YAML file that a team
   add REPORT   puts what identify or diagnose found at its end
   list         tells its ranges over machines and time
   show PART    tells its entries of a type of part, and draws them
+  start MODEL  writes a model, or a description, with its values of the same types of part: where a new
+               machine begins
 
 Without --library it is the one that comes with waferbot, with the damping of the thesis.
 """
@@ -26,6 +28,7 @@ FORMATS = ('.png', '.svg', '.pdf')
 EXAMPLES = (
     'waferbot library list',
     'waferbot library show linear_guide --plot guides.png',
+    'waferbot library start flexible --out new_machine.yaml',
     'waferbot library add identified --library parts.yaml --machine robot_1 --temperature 24',
 )
 """What `--help` shows; tests run them."""
@@ -33,10 +36,10 @@ EXAMPLES = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot library`."""
-    parser.add_argument('action', choices=('add', 'list', 'show'), help='what to do')
+    parser.add_argument('action', choices=('add', 'list', 'show', 'start'), help='what to do')
     parser.add_argument(
-        'what', nargs='?', metavar='REPORT|PART',
-        help='add: folder of an identification or a diagnosis; show: a type of part',
+        'what', nargs='?', metavar='REPORT|PART|MODEL',
+        help='add: folder of an identification or a diagnosis; show: a type of part; start: a model',
     )  # fmt: skip
     parser.add_argument(
         '--library', type=Path, metavar='FILE', help='YAML (default: the shipped one, to read)'
@@ -50,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--date', default='', metavar='YYYY-MM-DD', help='add: when (default: today)'
     )
     parser.add_argument('--plot', type=Path, metavar='FILE', help='show: draw the entries')
-    parser.add_argument('--force', action='store_true', help='replace the picture that is there')
+    parser.add_argument('--out', type=Path, metavar='FILE', help='start: a new file .yaml')
+    parser.add_argument('--force', action='store_true', help='replace the file that is there')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -63,6 +67,8 @@ def execute(options: argparse.Namespace) -> int:
     entries = load(options.library or shipped())
     if options.action == 'list':
         return _list(entries, options)
+    if options.action == 'start':
+        return _start(entries, options)
     return _show(entries, options)
 
 
@@ -149,4 +155,37 @@ def _show(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
     if options.plot is not None:
         draw(own, options.plot)
         say(f'drew {options.plot}')
+    return 0
+
+
+def _start(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
+    from dataclasses import asdict
+
+    from waferbot_lockstep.atomic_files import write_text
+    from waferbot_twin.effects.variant import Variant
+    from waferbot_twin.library.start import with_starting_values
+    from waferbot_twin.models import load_model_or_machine
+
+    if options.what is None or options.out is None:
+        raise UserError('give a model or a description, and --out FILE to write')
+    if options.out.exists() and not options.force:
+        raise UserError(f'--out {options.out} exists; choose another name or give --force')
+    changed, starts = with_starting_values(
+        Variant.of(load_model_or_machine(options.what)), entries
+    )
+    if not starts:
+        raise UserError(f'the library has nothing that {options.what} does not have')
+    try:
+        write_text(options.out, changed.text)
+    except OSError as error:
+        raise UserError(f'--out {options.out} cannot be written: {error.strerror}') from error
+    if options.json:
+        print_json([asdict(one) for one in starts])
+    else:
+        shown = new_table('parameter', 'before', 'now', 'unit', 'entries')
+        for one in starts:
+            numbers = (significant(value, 4) for value in (one.before, one.value))
+            shown.add_row(one.path, *numbers, one.unit, str(one.entries))
+        result_console.print(shown)
+    say(f'wrote {options.out}')
     return 0

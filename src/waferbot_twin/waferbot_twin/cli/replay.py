@@ -76,6 +76,12 @@ def execute(options: argparse.Namespace) -> int:
     if options.node is None:
         raise UserError(f'{options.recording} is a recording of a run: give --node, one of '
                         f'{", ".join(NODES)}')  # fmt: skip
+    foreign = header.run.get('plant')
+    if foreign and options.node == 'plant':
+        raise UserError(
+            f'{options.recording}: its plant was the FMU {foreign.get("fmu", "?")}, which is not in it; '
+            'replay pmac or copley'
+        )
     if options.out is not None:
         raise UserError('--out belongs to the replay of a measured log')
     return _replay_run(options)

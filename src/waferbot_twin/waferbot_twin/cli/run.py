@@ -30,6 +30,7 @@ from typing import Any
 from waferbot_copley.node_settings import POLICIES
 from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.foreign_plant import foreign_plant, identity, read_mapping
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.cli.seeds import add_seed
@@ -93,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         '--plant', type=Path, metavar='FMU',
-        help='an FMU in the place of the plant; in process, without ROS',
+        help='an FMU in the place of the plant, with each engine; as the plant node over ROS',
     )  # fmt: skip
     parser.add_argument(
         '--plant-map', type=Path, metavar='FILE',
@@ -120,10 +121,14 @@ def execute(options: argparse.Namespace) -> int:
         )
     if options.plant is None and options.plant_map is not None:
         raise UserError('--plant-map belongs to --plant')
+    if options.plant is not None and 'plant' in options.without:
+        raise UserError('--plant is what the plant node runs: not with --without plant')
     _refuse_options_of_other_engines(options)
     plan = make_plan(options.model, options.experiment, options.duration, options.seed)
     if options.pmac_settings is not None:
         plan = with_pmac_settings(plan, options.pmac_settings)
+    if options.plant is not None:
+        plan = replace(plan, foreign_plant=identity(options.plant))
     result = run_plan(plan, options)
     if options.json:
         print_json(result)
@@ -145,9 +150,9 @@ def execute(options: argparse.Namespace) -> int:
 
 def _refuse_options_of_other_engines(options: argparse.Namespace) -> None:
     """Refuse what would have no effect: options of ROS without ROS, `--compose` of what is composed."""
-    if options.engine == 'composed' and options.compose and options.plant is None:
+    if options.engine == 'composed' and options.compose:
         raise UserError('--compose is for --engine ros; composed has one process in any case')
-    if options.engine != 'inprocess' and options.plant is None:
+    if options.engine != 'inprocess':
         return
     of_ros = {
         '--compose': options.compose,
@@ -160,8 +165,9 @@ def _refuse_options_of_other_engines(options: argparse.Namespace) -> None:
     }
     for name, given in of_ros.items():
         if given:
-            which = '--plant' if options.plant is not None else '--engine inprocess'
-            raise UserError(f'{name} is for nodes over ROS; with {which} there are none')
+            raise UserError(
+                f'{name} is for nodes over ROS; with --engine inprocess there are none'
+            )
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -184,12 +190,8 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         say('compiling the model: once for these sources, half a minute, then kept on disk')
     begun_s = time.perf_counter()
     with progress_bar(f'{plan.experiment.name} on {plan.model.name}') as progress:
-        if options.plant is not None:
-            outcome = _run_with_fmu(plan, options, progress)
-        elif options.engine == 'inprocess':
-            from waferbot_twin.engines import inprocess
-
-            outcome = inprocess.run(plan, options.out, options.force, progress)
+        if options.engine == 'inprocess':
+            outcome = _run_in_process(plan, options, progress)
         else:
             outcome = _run_over_ros(plan, options, progress)
     wall_s = time.perf_counter() - begun_s
@@ -198,7 +200,7 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
         difference = {'difference': [apart.text for apart in plant_differences(plan)]}
     sim_s = plan.timing.seconds(plan.ticks)
     return {
-        'engine': options.engine if options.plant is None else f'inprocess, plant {options.plant}',
+        'engine': options.engine + (f', plant {options.plant}' if options.plant else ''),
         'experiment': plan.experiment.name,
         'model': plan.model.name,
         'seed': plan.seed,
@@ -214,20 +216,16 @@ def run_plan(plan: Plan, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _run_with_fmu(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
-    """Run a plan with an FMU in the place of its plant."""
-    from waferbot_lockstep.marked_yaml import read
+def _run_in_process(plan: Plan, options: argparse.Namespace, progress: Any) -> Outcome:
+    """Run a plan in this process, with an FMU in the place of its plant if there is one."""
     from waferbot_twin.engines import inprocess
-    from waferbot_twin.fmi.foreign_plant import advance, foreign_plant
 
-    mapping = {} if options.plant_map is None else read(options.plant_map).data
-    if not isinstance(mapping, dict) or not all(
-        isinstance(name, str) for pair in mapping.items() for name in pair
-    ):
-        raise UserError(
-            f'--plant-map {options.plant_map}: it must map our names to those of the FMU'
-        )
-    with foreign_plant(options.plant, mapping, plan.timing) as foreign:
+    if options.plant is None:
+        return inprocess.run(plan, options.out, options.force, progress)
+    from waferbot_twin.fmi.lockstep import advance
+
+    names = read_mapping(options.plant_map)
+    with foreign_plant(options.plant, names, plan.timing) as foreign:
         return inprocess.run(
             plan,
             options.out,
@@ -251,6 +249,16 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         domain=options.domain,
         any_host=options.any_host,
         on_domain=lambda number: say(f'ROS_DOMAIN_ID={number}'),
+        overrides=_overrides(options),
     )
     outcome: Outcome = ros.run(plan, options.out, options.force, progress, ros_options)
     return outcome
+
+
+def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Return the parameters of the plant's node that say which FMU it runs."""
+    if options.plant is None:
+        return {}
+    read_mapping(options.plant_map)  # its mistakes are told before any node starts
+    names = '' if options.plant_map is None else str(options.plant_map.resolve())
+    return {'plant': {'fmu': str(options.plant.resolve()), 'fmu_map': names}}

@@ -56,12 +56,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
     )
+    parser.add_argument(
+        '--cluster', metavar='ADDRESS', help='send the work to the Dask scheduler at this address'
+    )
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Rate the experiments, print the table, write the best."""
     from waferbot_lockstep.timing import Timing
+    from waferbot_twin.cluster import cluster
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
     from waferbot_twin.residuals.problem import apply_all
@@ -91,8 +95,8 @@ def execute(options: argparse.Namespace) -> int:
         Timing(),
         tuple(options.without),
     )
-    with progress_bar('simulating experiments') as progress:
-        found = suggest(machine, group.rivals, progress, options.workers)
+    with cluster(options.cluster) as cores, progress_bar('simulating experiments') as progress:
+        found = suggest(machine, group.rivals, progress, cores or options.workers)
     kept = keep(output, lambda folder: write(found, folder))
     what = 'report: {}/report.json' if found.best is None else 'experiment: {}/experiment.yaml'
     if options.json:

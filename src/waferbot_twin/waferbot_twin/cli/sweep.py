@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--measure', action='append', default=[], required=True, metavar='FIGURE.AXIS',
         help='settling_time, overshoot_percent, rms_following_error, peak_following_error, '
-        'rms_current_a, peak_current_a',
+        'rms_current_a, peak_current_a, winding_temperature_degc, or load_percent.PART (see size)',
     )  # fmt: skip
     parser.add_argument('--method', choices=METHODS, default='grid', help='default: grid')
     parser.add_argument(
@@ -57,6 +57,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
     )
+    parser.add_argument(
+        '--cluster', metavar='ADDRESS', help='run the points on the Dask scheduler at this address'
+    )
     parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder for the result')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
@@ -65,6 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the points, write the table, print what came out."""
     from waferbot_pmac.experiments import load_experiment
+    from waferbot_twin.cluster import cluster
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
     from waferbot_twin.sweep import report, sweep
@@ -85,8 +89,8 @@ def execute(options: argparse.Namespace) -> int:
     task = Task(variant, paths, options.experiment, measures)
     output = None if options.out is None else OutputFolder(options.out, options.force)
     parts = None if options.out is None else sweep.parts_folder(options.out)
-    with progress_bar(f'{len(made)} points') as progress:
-        table = sweep.run(task, made, options.workers, parts, progress)
+    with cluster(options.cluster) as cores, progress_bar(f'{len(made)} points') as progress:
+        table = sweep.run(task, made, cores or options.workers, parts, progress)
     found = None
     if options.method == 'saltelli':
         try:
@@ -105,6 +109,8 @@ def execute(options: argparse.Namespace) -> int:
 
 
 def _print(result: dict[str, object], paths: tuple[str, ...]) -> None:
+    from waferbot_twin.sweep import report
+
     table = new_table('measure', 'least', 'median', 'largest', 'numbers', 'least at')
     table.columns[-1].justify, table.columns[-1].no_wrap = 'left', False
     measures = result['measures']
@@ -129,3 +135,10 @@ def _print(result: dict[str, object], paths: tuple[str, ...]) -> None:
             )
         result_console.print('', table)
     print(f'{result["points"]} points, {result["failed"]} of them failed')
+    errors = result['errors']
+    assert isinstance(errors, list)
+    if errors:
+        others = (
+            f' ({len(errors) - 1} other reasons: {report.FILES[2]})' if len(errors) > 1 else ''
+        )
+        print(f'failed: {errors[0]}{others}')

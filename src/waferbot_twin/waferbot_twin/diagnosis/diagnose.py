@@ -12,8 +12,8 @@ model is nearer to them, is withdrawn (`validation.holdout`).
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
+from waferbot_twin.diagnosis.known_before import with_known
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.effects import library
@@ -33,6 +34,7 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, intervals_95
+from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
@@ -126,11 +128,13 @@ def diagnose(
     workers: int = 1,
     without: Sequence[str] = (),
     settings: Settings | None = None,
+    known: Mapping[str, Known] | None = None,
 ) -> Diagnosis:
     """
     Diagnose logs against a model.
 
-    `without` names effects that are left out of the library. Raises `UserError` if the logs are
+    `without` names effects that are left out of the library. `known` are values from other logs of this
+    machine, by path (`known_before`). Raises `UserError` if the logs are
     too short or the nominal model does not run in their motions.
     """
     begun_s = time.perf_counter()
@@ -181,6 +185,8 @@ def diagnose(
     ]
     withdrawn = [*judged.refuted, *extension.withdrawn]
     posterior = posterior.without(problem, [cause.name for cause in withdrawn])
+    updated, told = with_known(problem, posterior.found, known or {}, numbers)
+    posterior, notes = replace(posterior, found=updated), [*notes, *told]
     left = unexplained(problem, posterior, settings)
     every = _found_causes(problem, posterior, settings)
     causes = [item for item in every if item.inclusion >= settings.named_from]

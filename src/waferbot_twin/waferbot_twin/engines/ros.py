@@ -118,6 +118,7 @@ def run(
             plan.timing,
             {**reported(options.without), **_commands_needed(options)},
             clock_needed='plant' not in options.without,
+            loads_needed=plan.foreign_plant is None,
             exchange=None if options.delivery == TOPICS else exchange,
             validity=validity,
         )

@@ -15,67 +15,42 @@ Values are float64, SI or counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
+from waferbot_plant.signals import (
+    COUNTS,
+    LINES,
+    OPEN,
+    POSITIONS,
+    SPEEDS,
+    UNITS,
+    VOLTAGES,
+    Variable,
+    per_axis,
+)
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import open_terminals
-from waferbot_twin.response import UNITS
 
 KINDS = ('plant', 'twin', 'pmac', 'copley')
 
 Floats = np.ndarray
 
 
-@dataclass(frozen=True)
-class Variable:
-    """An input or output: name, unit ('' for none, 'count'), what it is."""
-
-    name: str
-    unit: str
-    meaning: str
-
-
-def _per_axis(name: str, unit: str, meaning: str) -> tuple[Variable, ...]:
-    return tuple(Variable(f'{axis}_{name}', unit, f'{axis}: {meaning}') for axis in AXES)
-
-
-VOLTAGES = tuple(
-    Variable(f'{axis}_voltage_{terminal}', 'V', f'{axis}: terminal {terminal} of the motor')
-    for axis in AXES
-    for terminal in (1, 2, 3)
-)
-OPEN = _per_axis('open', '', '1: the terminals of the motor are open, 0: connected')
-LINES = tuple(
-    Variable(f'{axis}_current_{line}', 'A', f'{axis}: measured current into line {line}')
-    for axis in AXES
-    for line in (1, 2)
-)
-COUNTS = tuple(
-    Variable(f'{name}_counts', 'count', f'encoder {name}, as published') for name in ENCODERS
-)
-POSITIONS = tuple(
-    Variable(f'{axis}_position', UNITS[axis], f'{axis}: where it is') for axis in AXES
-)
-SPEEDS = tuple(
-    Variable(f'{axis}_velocity', f'{UNITS[axis]}/s', f'{axis}: how fast it is') for axis in AXES
-)
 COMMANDED = tuple(
     Variable(f'{axis}_commanded', UNITS[axis], f'{axis}: commanded position, from where it began')
     for axis in AXES
 )
-COMMANDS = _per_axis('current_command', 'A', 'current command, peak of the sine')
-ERRORS = _per_axis('following_error', 'count', 'following error')
+COMMANDS = per_axis('current_command', 'A', 'current command, peak of the sine')
+ERRORS = per_axis('following_error', 'count', 'following error')
 
 
 class PlantBlock:

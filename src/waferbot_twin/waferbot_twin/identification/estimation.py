@@ -13,14 +13,15 @@ The covariance is that of the linear problem at the end (`conditioning`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.estimation.known_values import Known, disagree, together
 from waferbot_twin.identification.conditioning import Conditioning, conditioning
 from waferbot_twin.identification.named_parameters import MODEL, NamedParameter
 from waferbot_twin.identification.solving import least_squares
@@ -103,6 +104,54 @@ def estimate(
         after,
         settled,
     )
+
+
+def with_known(
+    problem: Problem, found: Estimate, known: Mapping[str, Known]
+) -> tuple[Estimate, list[str]]:
+    """
+    Return an estimate with values known from other logs of the machine, by path, and what to tell.
+
+    They take part as readings do; what differs by more than chance is left out (`known_values`). Raises
+    `UserError` if the model cannot be simulated with what comes out.
+    """
+    covariance = found.conditioning.covariance
+    places: list[int] = []
+    taken: list[Known] = []
+    notes: list[str] = []
+    for place, parameter in enumerate(found.parameters):
+        if parameter.path not in known:
+            continue
+        here = known[parameter.path]
+        told = f'{parameter.path} was {here.value:.5g} +- {here.error:.2g} ({here.origin})'
+        scaled = _scaled(parameter, here)
+        if scaled is None:
+            notes.append(f'{told}, out of its range here; that is left out')
+        elif disagree(scaled, float(found.scaled[place]), float(covariance[place, place])):
+            notes.append(
+                f'{told}; these logs contradict that, so it is left out: what has changed?'
+            )
+        else:
+            notes.append(f'{told}; that took part')
+            places.append(place)
+            taken.append(scaled)
+    if not taken:
+        return found, notes
+    better, covariance = together(found.scaled, covariance, places, taken)
+    values = np.array([held(*pair) for pair in zip(found.parameters, better, strict=True)])
+    after = evaluate(problem, _causes(found.parameters, values))
+    conditioned = replace(found.conditioning, covariance=covariance)
+    return replace(found, scaled=values, conditioning=conditioned, after=after), notes
+
+
+def _scaled(parameter: NamedParameter, known: Known) -> Known | None:
+    """Return a known value as that of the scaled parameter; None if it is out of its range."""
+    if not parameter.low <= known.value <= parameter.high:
+        return None
+    per_unit = (
+        1.0 / abs(known.value) if parameter.logarithmic else 2.0 / (parameter.high - parameter.low)
+    )
+    return Known(parameter.scaled(known.value), known.error * per_unit, known.origin)
 
 
 class _Fitting:

@@ -9,7 +9,7 @@ it says little.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,7 +18,8 @@ from scipy.signal import lfilter
 from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.identification.estimation import Estimate, Progress, estimate
+from waferbot_twin.estimation.known_values import Known
+from waferbot_twin.identification.estimation import Estimate, Progress, estimate, with_known
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
 from waferbot_twin.noise_model.prediction_error import autoregression
@@ -71,17 +72,19 @@ def identify(
     judging: Sequence[Record],
     parameters: Sequence[NamedParameter],
     progress: Progress,
+    known: Mapping[str, Known] | None = None,
 ) -> Identification:
     """
     Identify parameters of a model from logs.
 
+    `known` are values from other logs of this machine, by path: they take part as readings do.
     Raises `UserError` if the logs show none of them or the model cannot be simulated.
     """
     begun_s = time.perf_counter()
     problem = Problem(nominal, records)
-    found = estimate(problem, parameters, progress)
+    found, told = with_known(problem, estimate(problem, parameters, progress), known or {})
     identified = found.variant(nominal)
-    notes = _notes(found)
+    notes = [*_notes(found), *told]
     judges = list(judging or records)
     try:
         measured = gains(nominal, identified, judges)

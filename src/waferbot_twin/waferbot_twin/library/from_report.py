@@ -50,6 +50,20 @@ _SCHEMA = {
                 'properties': {'effect': TEXT, 'axis': TEXT, 'parameters': _VALUES},
             },
         },
+        'corrections': {
+            'type': 'array',
+            'items': {
+                'type': 'object',
+                'required': ['path', 'unit', 'found', 'low', 'high'],
+                'properties': {
+                    'path': TEXT,
+                    'unit': TEXT,
+                    'found': NUMBER,
+                    'low': NUMBER,
+                    'high': NUMBER,
+                },
+            },
+        },
     },
 }
 
@@ -101,6 +115,15 @@ def read_entries(
             )
             for parameter, one in cause['parameters'].items()
         ]  # fmt: skip
+    found += [
+        Entry(
+            part_of(one['path']), parameter_of(one['path']), float(one['found']), one['unit'],
+            path=one['path'], origin=f'diagnose: {report}', low=float(one['low']),
+            high=float(one['high']), **common,
+        )
+        for one in data.get('corrections', [])
+        if not one['path'].startswith('logs.')  # the time of a drive is that of a log
+    ]  # fmt: skip
     if not found:
         raise UserError(f'{file}: nothing was identified in it')
     return tuple(found)

@@ -64,21 +64,29 @@ def table(entries: Sequence[Entry]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def prior(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, float] | None:
+def entries_of(entries: Sequence[Entry], parameter: NamedParameter) -> list[Entry]:
     """
-    Return the range in which a parameter of a model is to be expected; None if nothing is known.
+    Return what is known of a parameter of a model.
 
-    Entries of the same path count alone if there are some, else those of the same part, parameter and
-    unit. The model's value is in the range, and the parameter's own bounds hold.
+    Entries of the same path alone if there are some, else those of the same part, parameter and unit.
     """
-    own = [entry for entry in entries if entry.path == parameter.path]
-    known = own or [
+    return [entry for entry in entries if entry.path == parameter.path] or [
         entry
         for entry in entries
         if entry.part == part_of(parameter.path)
         and entry.parameter == parameter_of(parameter.path)
         and entry.unit == parameter.unit
     ]
+
+
+def prior(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, float] | None:
+    """
+    Return the range in which a parameter of a model is to be expected; None if nothing is known.
+
+    Known is what `entries_of` says. The model's value is in the range, and the parameter's own bounds
+    hold.
+    """
+    known = entries_of(entries, parameter)
     if not known:
         return None
     low = min(ends_of(entry)[0] for entry in known)

@@ -59,6 +59,7 @@ _RUN = {
             'additionalProperties': False,
         },
         'versions': {'type': 'object'},
+        'plant': {'type': 'object', 'additionalProperties': TEXT},
     },
 }
 """What `run.json` may say, as a JSON schema."""

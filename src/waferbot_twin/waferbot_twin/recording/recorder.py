@@ -85,6 +85,7 @@ class Recorder(Node):
         timing: Timing,
         needed: Mapping[Topic, int] | None = None,
         clock_needed: bool = True,
+        loads_needed: bool = True,
         exchange: Exchange | None = None,
         validity: Validity | None = None,
     ) -> None:
@@ -93,13 +94,15 @@ class Recorder(Node):
 
         `needed` is that of `Account`; `clock_needed` says whether `/clock` and `joint_states` must be
         there too: then the plant is one that waits for the recorder, and a message from far ahead is a
-        stranger's, which would make all that is still to come look old. What nodes of this process give,
+        stranger's, which would make all that is still to come look old. `loads_needed`: `plant_state`
+        as well, which an FMU in the place of the plant does not have. What nodes of this process give,
         or a channel, is taken from `exchange`. `validity` watches what the messages tell, if given.
         """
         super().__init__('recorder')
         self.exchange = exchange or Exchange()
         self.account = Account(timing, needed)
         self._clock_needed = clock_needed
+        self._loads_needed = loads_needed
         self._validity = validity
         self._plant_state = WireFormat(PLANT_STATE[1])
         self.tick = -1
@@ -144,7 +147,12 @@ class Recorder(Node):
     def begun(self) -> bool:
         """Whether all that is needed has been heard for every axis, so that nothing will be missed."""
         standard_begun = not self._clock_needed or (
-            self._described and min(self._standard_stamps.values()) >= 0
+            self._described
+            and all(
+                stamp >= 0
+                for name, stamp in self._standard_stamps.items()
+                if self._loads_needed or name != PLANT_STATE[0]
+            )
         )
         return self.account.begun() and standard_begun
 

@@ -12,17 +12,26 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.validity import checks_of
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.named_parameters import at_path
+from waferbot_twin.sweep.sizing import WINDINGS, largest_shares, size
 from waferbot_twin.sweep.variation import overlaid
 from waferbot_twin.tuning.runs import behave
 
 FIGURES = (
     'settling_time', 'overshoot_percent', 'rms_following_error', 'peak_following_error',
-    'rms_current_a', 'peak_current_a',
+    'rms_current_a', 'peak_current_a', 'winding_temperature_degc', 'load_percent',
 )  # fmt: skip
-"""What can be measured of an axis."""
+"""
+What can be measured of an axis.
+
+`winding_temperature_degc` is that of the experiment repeated for ever, `load_percent` the largest share
+of a limit that an axis' motor and drive, or another part, has to bear (`sizing`).
+"""
+
+OF_PARTS = ('winding_temperature_degc', 'load_percent')
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,7 @@ class Task:
 def check_measures(texts: Sequence[str], variant: Variant) -> tuple[str, ...]:
     """Return measures, `FIGURE.AXIS`; raises `UserError` for what is none."""
     axes = tuple(variant.description.axes)
+    checks = [check for check, _ in checks_of(variant.build(Timing()))]
     for text in texts:
         figure, _, axis = text.partition('.')
         if figure not in FIGURES:
@@ -45,7 +55,14 @@ def check_measures(texts: Sequence[str], variant: Variant) -> tuple[str, ...]:
                 f'--measure {text}: no figure {figure!r}{did_you_mean(figure, FIGURES)} '
                 f'(there are: {", ".join(FIGURES)})'
             )
-        if axis not in axes:
+        if figure == 'load_percent':
+            places = (*axes, *dict.fromkeys(check.place for check in checks))
+            if axis not in places:
+                raise UserError(
+                    f'--measure {text}: give load_percent.PART, with one of {", ".join(places)}'
+                    f'{did_you_mean(axis, places)}'
+                )
+        elif axis not in axes:
             raise UserError(
                 f'--measure {text}: give FIGURE.AXIS, with an axis of {", ".join(axes)}'
                 f'{did_you_mean(axis, axes)}'
@@ -62,12 +79,23 @@ def evaluate(task: Task, point: np.ndarray) -> tuple[list[float], str]:
     try:
         parameters = [at_path(path, task.variant) for path in task.paths]
         variant = overlaid(task.variant, parameters, point)
-        found = behave(variant, load_experiment(task.experiment), Timing())
+        experiment = load_experiment(task.experiment)
+        found = behave(variant, experiment, Timing())
+        alive = all(one.alive for one in found.values())
+        asked = alive and any(one.partition('.')[0] in OF_PARTS for one in task.measures)
+        rows = size(variant, experiment, Timing()) if asked else []
     except UserError as error:
         return [math.nan] * len(task.measures), str(error)
     values = []
     for measure in task.measures:
-        figure, _, axis = measure.partition('.')
-        values.append(float(getattr(found[axis], figure)))
-    alive = all(one.alive for one in found.values())
+        figure, _, part = measure.partition('.')
+        if figure not in OF_PARTS:
+            values.append(float(getattr(found[part], figure)))
+        elif not alive:
+            values.append(math.inf)
+        elif figure == 'load_percent':
+            values.append(100.0 * largest_shares(rows).get(part, math.nan))
+        else:
+            warm = [row.value for row in rows if (row.part, row.what) == (part, WINDINGS)]
+            values.append(warm[0] if warm else math.nan)
     return values, '' if alive else 'the run blew up, or a motor was killed'

@@ -32,6 +32,7 @@ def summary(
         'schema': 1,
         'points': len(table),
         'failed': int((table[ERROR] != '').sum()),
+        'errors': [text for text in dict.fromkeys(table[ERROR]) if text],
         'measures': {},
         'sensitivities': None if sensitivity is None else sensitivity.to_dict('records'),
     }

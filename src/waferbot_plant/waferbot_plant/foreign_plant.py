@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+An FMU in the place of the plant, tick by tick.
+
+It has the inputs and outputs of `signals` by name, or by a mapping of these names to its own:
+
+    y_linear_voltage_1: drive1.u_a     # that input of the FMU
+    x_rotate_voltage_1: null           # the FMU has none: what the amplifier puts out goes nowhere
+    x_rotate_counts: 0                 # the FMU has none: always this value
+
+Voltages, counts and line currents of all axes must be there or be mapped; open terminals, positions and
+speeds may be missing (then zeros are shown for the latter). FMI 2.0 and 3.0, co-simulation; float64
+variables (Real). Counts are rounded to whole ones by whoever sends them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import read
+from waferbot_lockstep.timing import Timing
+from waferbot_plant.signals import COUNTS, LINES, OPEN, POSITIONS, SPEEDS, VOLTAGES, Variable
+
+SHOWN = (*COUNTS, *LINES, *POSITIONS, *SPEEDS)
+"""What `ForeignPlant.values` returns, in this order."""
+
+NEEDED = (*VOLTAGES, *COUNTS, *LINES)
+
+Names = Mapping[str, str | float | None]
+"""Our name to that of the FMU, to a value (outputs), or to None (inputs)."""
+
+
+def read_mapping(file: Path | None) -> Names:
+    """Return a mapping from its YAML file, an empty one without a file; raises `UserError`."""
+    if file is None:
+        return {}
+    found = read(file).data
+    if not isinstance(found, dict):
+        raise UserError(f'--plant-map {file}: it must map our names to those of the FMU')
+    known = {variable.name for variable in (*VOLTAGES, *OPEN, *SHOWN)}
+    inputs = {variable.name for variable in (*VOLTAGES, *OPEN)}
+    for name, theirs in found.items():
+        if name not in known:
+            raise UserError(
+                f'--plant-map {file}: a plant has no {name!r}; docs/fmi.md has the names'
+            )
+        number = isinstance(theirs, int | float) and not isinstance(theirs, bool)
+        if not isinstance(theirs, str) and not (theirs is None if name in inputs else number):
+            what = 'null, for one that it does not have' if name in inputs else 'a number, held'
+            raise UserError(f'--plant-map {file}: {name} must be a name of the FMU, or {what}')
+    return dict(found)
+
+
+def identity(file: Path) -> dict[str, str]:
+    """Return what a recording says of an FMU: its name, version, token and SHA-256."""
+    description = _described(file)
+    return {
+        'fmu': file.name,
+        'fmi': str(description.fmiVersion),
+        'token': str(description.guid),
+        'sha256': hashlib.sha256(file.read_bytes()).hexdigest(),
+    }
+
+
+def _described(file: Path) -> Any:
+    """Return the model description of an FMU for co-simulation; raises `UserError`."""
+    try:
+        import fmpy
+    except ImportError as error:
+        raise UserError('--plant needs FMPy: python -m pip install fmpy') from error
+    if not file.is_file():
+        raise UserError(f'--plant {file}: no such file')
+    try:
+        description = fmpy.read_model_description(str(file), validate=False)
+    except Exception as error:  # FMPy raises whatever it meets in a file that is none
+        raise UserError(f'--plant {file}: {str(error).splitlines()[0]}') from error
+    if description.coSimulation is None:
+        raise UserError(f'--plant {file}: it is no FMU for co-simulation')
+    return description
+
+
+class ForeignPlant:
+    """An FMU that was instantiated; `values` reads outputs, `step` goes on."""
+
+    def __init__(self, file: Path, mapping: Names, timing: Timing) -> None:
+        """Instantiate and initialise; raises `UserError` for what is wrong with the FMU."""
+        self.file, self._timing = file, timing
+        self._folder = ''
+        self._description = _described(file)
+        try:
+            import fmpy
+
+            self._folder = fmpy.extract(str(file))
+            self._read(self._description, mapping)
+            self._fmu = self._instantiated()
+        except UserError:
+            self.close()
+            raise
+        except Exception as error:  # as above
+            self.close()
+            raise UserError(f'--plant {file}: {str(error).splitlines()[0]}') from error
+
+    def _read(self, description: Any, mapping: Names) -> None:
+        known = {variable.name: variable.valueReference for variable in description.modelVariables}
+        roles = {variable.name: variable.causality for variable in description.modelVariables}
+        types = {variable.name: variable.type for variable in description.modelVariables}
+        missing = []
+        for variable in (*NEEDED, *(one for one in (*OPEN, *SHOWN) if one.name in mapping)):
+            name = mapping.get(variable.name, variable.name)
+            if not isinstance(name, str):
+                continue
+            role = 'input' if variable in (*VOLTAGES, *OPEN) else 'output'
+            if roles.get(name) != role:
+                missing.append(f'{role} {name!r}')
+            elif types[name] not in ('Real', 'Float64'):
+                missing.append(f'real {role} {name!r} (it is of type {types[name]})')
+        if missing:
+            raise UserError(
+                f'--plant {self.file}: it has no {missing[0]}'
+                f'{f" ({len(missing) - 1} more are missing)" if len(missing) > 1 else ""}; '
+                'say with --plant-map what it calls them'
+            )
+
+        def placed(variables: Iterable[Variable]) -> tuple[np.ndarray, list[int]]:
+            """Return the places of those that the FMU has, and their value references."""
+            found = [
+                (place, known[name])
+                for place, variable in enumerate(variables)
+                if (name := mapping.get(variable.name, variable.name)) in known
+            ]
+            return np.array([place for place, _ in found], int), [value for _, value in found]
+
+        self._taken, self._inputs = placed((*VOLTAGES, *OPEN))
+        self._present, self._outputs = placed(SHOWN)
+        self._shown = np.array(
+            [
+                0.0 if value is None or isinstance(value, str) else float(value)
+                for value in (mapping.get(variable.name) for variable in SHOWN)
+            ]
+        )
+        self._three = str(description.fmiVersion).startswith('3')
+
+    def _instantiated(self) -> Any:
+        from fmpy.fmi2 import FMU2Slave
+        from fmpy.fmi3 import FMU3Slave
+
+        description = self._description
+        identity = {
+            'guid': description.guid,
+            'unzipDirectory': self._folder,
+            'modelIdentifier': description.coSimulation.modelIdentifier,
+            'instanceName': 'plant',
+        }
+        fmu = FMU3Slave(**identity) if self._three else FMU2Slave(**identity)
+        fmu.instantiate()
+        if self._three:
+            fmu.enterInitializationMode(startTime=0.0)
+        else:
+            fmu.setupExperiment(startTime=0.0)
+            fmu.enterInitializationMode()
+        fmu.exitInitializationMode()
+        return fmu
+
+    def values(self) -> np.ndarray:
+        """Return counts (4), line currents (6), positions (3) and speeds (3)."""
+        if self._outputs:
+            read_values = self._fmu.getFloat64 if self._three else self._fmu.getReal
+            self._shown[self._present] = read_values(self._outputs)
+        if not np.isfinite(self._shown).all():
+            place = int(np.flatnonzero(~np.isfinite(self._shown))[0])
+            raise UserError(f'--plant {self.file}: its {SHOWN[place].name} is not finite')
+        return self._shown
+
+    def step(self, tick: int, voltage: np.ndarray, mask: int) -> None:
+        """Advance by a tick with voltages (9,) and the mask of open bridges; raises `UserError`."""
+        time_s = self._timing.seconds(tick)
+        values = np.concatenate([voltage, [float(mask >> axis & 1) for axis in range(3)]])
+        try:
+            if self._inputs:
+                write = self._fmu.setFloat64 if self._three else self._fmu.setReal
+                write(self._inputs, values[self._taken].tolist())
+            ended = self._fmu.doStep(
+                currentCommunicationPoint=time_s, communicationStepSize=self._timing.tick_s
+            )
+        except Exception as error:
+            raise UserError(f'--plant {self.file} failed at {time_s:.6g} s: {error}') from error
+        if self._three and (ended[1] or ended[2]):
+            how = (
+                'asks to end the simulation' if ended[1] else 'returned before the end of the tick'
+            )
+            raise UserError(f'--plant {self.file} {how} at {time_s:.6g} s')
+
+    def reset(self) -> None:
+        """Begin anew at time 0."""
+        self._end()
+        self._fmu = self._instantiated()
+
+    def _end(self) -> None:
+        fmu = self.__dict__.pop('_fmu', None)
+        if fmu is not None:
+            with contextlib.suppress(Exception):
+                fmu.terminate()
+                fmu.freeInstance()
+
+    def close(self) -> None:
+        """End the FMU and remove what was unpacked of it."""
+        self._end()
+        if self._folder:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def foreign_plant(file: Path, mapping: Names, timing: Timing) -> Iterator[ForeignPlant]:
+    """Give an FMU that is closed in the end; raises `UserError`."""
+    plant = ForeignPlant(file, mapping, timing)
+    try:
+        yield plant
+    finally:
+        plant.close()

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plant takes and shows, by name and unit: the inputs and outputs of a plant that is an FMU."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from waferbot_lockstep.contract import AXES, ENCODERS
+
+UNITS = {'y_linear': 'm', 'x_rotate': 'rad', 'y_rotate': 'rad'}
+
+
+@dataclass(frozen=True)
+class Variable:
+    """An input or output: name, unit ('' for none, 'count'), what it is."""
+
+    name: str
+    unit: str
+    meaning: str
+
+
+def per_axis(name: str, unit: str, meaning: str) -> tuple[Variable, ...]:
+    """Return a variable for each axis."""
+    return tuple(Variable(f'{axis}_{name}', unit, f'{axis}: {meaning}') for axis in AXES)
+
+
+VOLTAGES = tuple(
+    Variable(f'{axis}_voltage_{terminal}', 'V', f'{axis}: terminal {terminal} of the motor')
+    for axis in AXES
+    for terminal in (1, 2, 3)
+)
+OPEN = per_axis('open', '', '1: the terminals of the motor are open, 0: connected')
+LINES = tuple(
+    Variable(f'{axis}_current_{line}', 'A', f'{axis}: measured current into line {line}')
+    for axis in AXES
+    for line in (1, 2)
+)
+COUNTS = tuple(
+    Variable(f'{name}_counts', 'count', f'encoder {name}, as published') for name in ENCODERS
+)
+POSITIONS = tuple(
+    Variable(f'{axis}_position', UNITS[axis], f'{axis}: where it is') for axis in AXES
+)
+SPEEDS = tuple(
+    Variable(f'{axis}_velocity', f'{UNITS[axis]}/s', f'{axis}: how fast it is') for axis in AXES
+)
