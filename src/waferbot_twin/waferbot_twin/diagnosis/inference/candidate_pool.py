@@ -92,6 +92,13 @@ class CandidatePool:
         self.dense = [cause for cause in every if is_nuisance(cause)]
         self._candidates = [cause for cause in every if not is_nuisance(cause)]
         self.names: list[str] = list(dict.fromkeys(cause.name for cause in self._candidates))
+        ways: dict[str, set[tuple[float, ...]]] = {}
+        for cause in self._candidates:
+            ways.setdefault(cause.name, set()).add(
+                tuple(cause.values[name] for name in cause.held)
+            )
+        # One way more is that it is none of them: what is held is then fitted.
+        self._ways = {name: len(own) + (own != {()}) for name, own in ways.items()}
         self._beside: Sequence[Cause] = ()
         self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
@@ -103,12 +110,14 @@ class CandidatePool:
         """
         Return ln of the prior odds of a candidate against none.
 
-        `expected_causes` over the number of candidates; even odds that a machine is a little off in
-        everything.
+        `expected_causes` over the number of candidates, and over the ways in which this one may be
+        made (teeth, poles, a turn: one of its orders is true); even odds that a machine is a little off
+        in everything.
         """
         if is_nuisance(cause):
             return 0.0
-        return math.log(self.settings.expected_causes / len(self.names))
+        ways = self._ways.get(cause.name, 1)
+        return math.log(self.settings.expected_causes / (len(self.names) * ways))
 
     def begin(self, base: Hypothesis) -> None:
         """
