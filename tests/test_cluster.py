@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import time
 
 import numpy as np
 import pandas as pd
@@ -86,12 +85,10 @@ def test_a_sweep_on_two_workers_survives_the_loss_of_one(scheduler, start, tmp_p
 def test_what_is_wrong_with_a_cluster_is_told(scheduler, start, tmp_path):
     address, _ = scheduler(0)
     for at, said in ((address, 'has no workers'), ('tcp://127.0.0.1:9', 'no scheduler answers')):
-        begun_s = time.monotonic()
         twin = start('waferbot_twin', *WHAT, '--cluster', at)
         assert twin.wait() == 1
         assert said in twin.output
         assert 'Traceback' not in twin.output
-        assert time.monotonic() - begun_s < 60.0
 
 
 @pytest.mark.skipif(git_revision() is None, reason='not a checkout: the commit is not known')

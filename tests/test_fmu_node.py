@@ -50,44 +50,34 @@ def test_an_fmu_as_the_plants_node_gives_the_native_run(fmu, engine, start, tmp_
     assert 'its plant was the FMU' in replay.output
 
 
+@pytest.fixture
+def refused(fmu, start, tmp_path):
+    """Give a function that runs the FMU with a map of its names, and returns why that failed."""
+
+    def run(text):
+        names = tmp_path / 'names.yaml'
+        names.write_text(text, 'utf-8')
+        what = ('run', '--plant', fmu, '--plant-map', names, '--duration', '0.01')
+        twin = start('waferbot_twin', *map(str, what))
+        assert twin.wait() == 1
+        assert 'Traceback' not in twin.output
+        return twin.output
+
+    return run
+
+
 @pytest.mark.slow
-def test_a_map_that_does_not_fit_is_told_before_a_node_starts(fmu, start, tmp_path):
-    names = tmp_path / 'names.yaml'
+def test_a_map_that_does_not_fit_is_told_before_a_node_starts(refused):
     for text, said in (
         ('y_linear_count: 0', "a plant has no 'y_linear_count'"),
         ('y_linear_counts: null', 'must be a name of the FMU, or a number, held'),
         ('y_linear_voltage_1: 3', 'must be a name of the FMU, or null'),
     ):
-        names.write_text(text, 'utf-8')
-        twin = start(
-            'waferbot_twin',
-            'run',
-            '--plant',
-            str(fmu),
-            '--plant-map',
-            str(names),
-            '--duration',
-            '0.01',
-        )
-        assert twin.wait() == 1
-        assert said in twin.output
-        assert 'ROS_DOMAIN_ID' not in twin.output
+        output = refused(text)
+        assert said in output
+        assert 'ROS_DOMAIN_ID' not in output
 
 
 @pytest.mark.slow
-def test_an_fmu_that_lacks_something_ends_the_twin_with_its_reason(fmu, start, tmp_path):
-    names = tmp_path / 'names.yaml'
-    names.write_text('y_linear_counts: gone', 'utf-8')
-    twin = start(
-        'waferbot_twin',
-        'run',
-        '--plant',
-        str(fmu),
-        '--plant-map',
-        str(names),
-        '--duration',
-        '0.01',
-    )
-    assert twin.wait() == 1
-    assert "it has no output 'gone'" in twin.output
-    assert 'Traceback' not in twin.output
+def test_an_fmu_that_lacks_something_ends_the_twin_with_its_reason(refused):
+    assert "it has no output 'gone'" in refused('y_linear_counts: gone')

@@ -18,6 +18,7 @@ import numpy as np
 
 from waferbot_twin.estimation.gauss_newton import Names, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
+from waferbot_twin.estimation.size_prior import information_of_logs
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -69,3 +70,12 @@ def without_by_linear(problem: Problem, found: Hypothesis, name: str) -> Hypothe
     Raises `UserError` if the machine blows up so.
     """
     return evaluate(problem, others_without(problem, found, {name}))
+
+
+def conditional_errors(hypothesis: Hypothesis) -> Array | None:
+    """Return the standard error (k,) of every parameter, all others known; None without a fit."""
+    spread = hypothesis.covariance
+    if not len(spread):
+        return None
+    information = information_of_logs(spread, np.zeros(len(spread)))
+    return np.asarray(np.diag(information) ** -0.5)

@@ -42,6 +42,7 @@ from scipy.special import logsumexp
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
 from waferbot_twin.estimation.size_prior import (
+    LARGEST,
     away_from_neutral,
     information_of_logs,
     log_prior,
@@ -52,9 +53,6 @@ from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in
 from waferbot_twin.residuals.prior_block import log_normaliser
 from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
-
-LARGEST = 1e12
-"""Most that logs say of a value, over what its prior says: the rest is rounding, not knowledge."""
 
 
 def gain(

@@ -162,8 +162,8 @@ def signature(
     where it stands: a column of zeros, without simulating.
 
     With `errors` (k,), how far each parameter must move, the others where they are, for the logs to show
-    it (`conditional_errors`), slopes are those over that way. Over a longer one a machine that sticks
-    and slips does another thing, and a fit with such slopes ends where the likelihood still rises.
+    it (`estimation.conditional`), slopes are those over that way. Over a longer one a machine that
+    sticks and slips does another thing, and a fit with such slopes ends where the likelihood still rises.
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
@@ -219,16 +219,6 @@ def _probe(cause: Cause, item: Parameter, error: float) -> float:
     value = cause.values[item.name]
     step = max(min(PROBE * width_of(cause, item), error), item.resolution)
     return step if item.low <= value + step <= item.high else -step
-
-
-def conditional_errors(hypothesis: Hypothesis) -> Array | None:
-    """Return the standard error (k,) of every parameter, all others known; None without a fit."""
-    spread = hypothesis.covariance
-    if not len(spread) or not np.diag(spread).all():
-        return None
-    unit = np.sqrt(np.diag(spread))
-    information = np.linalg.pinv(spread / np.outer(unit, unit), hermitian=True)
-    return np.asarray(unit / np.sqrt(np.maximum(np.diag(information), 1.0)))
 
 
 def standard_errors(hypothesis: Hypothesis) -> Array:

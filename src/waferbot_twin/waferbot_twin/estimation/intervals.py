@@ -5,7 +5,8 @@
 Where the logs tell a parameter, noise moves its estimate by 1.96 standard errors; in a block that
 calculates in whole numbers it can go on beyond that until another bit differs. Where they tell nothing
 of it (how long a drive takes to fold back, where it never had to), its standard error is longer than
-all that it can be, and it can go as far, the others as they are, as the logs become by no more than
+all that it can be, the others known, too; it can go as far, these as they are, as the logs become by no
+more than
 
     2 (ln L_best - ln L) = 3.84
 
@@ -24,6 +25,7 @@ from scipy.stats import chi2, norm
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.conditional import conditional_errors
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -62,10 +64,14 @@ def intervals_95(
     cause = found.causes[place]
     same = same_bits(problem, found, place)
     intervals: Intervals = {}
+    first = sum(len(parameters_of(problem, one)) for one in found.causes[:place])
+    alone = conditional_errors(found)
+    alone = errors if alone is None else alone[first : first + len(same)]
     # A cause whose covariance nobody knows has fewer errors than parameters: no intervals.
-    for item, error, more in zip(parameters_of(problem, cause), errors, same, strict=False):
+    of_each = zip(parameters_of(problem, cause), errors, alone, same, strict=False)
+    for item, error, least, more in of_each:
         value, reach = cause.values[item.name], float(NORMAL_95 * error + more)
-        if reach > item.high - item.low:
+        if least > item.high - item.low:
             reach = 0.0
         low, high = value - reach, value + reach
         if reach == 0.0 or problem.is_exact_limit(cause):

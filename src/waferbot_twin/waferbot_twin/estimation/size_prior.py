@@ -34,7 +34,7 @@ from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
 LARGEST = 1e12
-"""Variance of what neither logs nor a prior say, in that of what they say: rounding."""
+"""Most that is known of anything, over the least that is: the rest is rounding, not knowledge."""
 
 
 def log_prior(problem: Problem, causes: Sequence[Cause]) -> float:

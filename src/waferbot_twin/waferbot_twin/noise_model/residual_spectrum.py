@@ -30,12 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
+from waferbot_twin.noise_model.gram import SMALLEST, spanning
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
 Array = NDArray[np.float64]
-
-LEAST = 1e-12
-"""Squared singular value, over the largest, of what rows still show; and noise, over what is assumed."""
 
 FEWEST = 4
 """Lines that are averaged on either side at the lowest frequencies."""
@@ -190,23 +188,19 @@ def information(system: Array, estimate: Fit) -> Array:
         (A' A)^-1 (sum over c of J_c) (A' A)^-1,
 
     J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
-    channel A_c' A_c. This is its inverse, zero along what A does not show. Noise is `LEAST` of what the
-    noise model says at least.
+    channel A_c' A_c. This is its inverse, zero along what A does not show (`gram.spanning`). Noise has
+    the share SMALLEST^2 of the power that the noise model says at least.
     """
-    scale = np.linalg.norm(system, axis=0)
-    scale[scale == 0.0] = 1.0
-    rows = system / scale
-    noisy = np.zeros((len(scale), len(scale)))
-    parts = np.split(rows, np.cumsum([len(white) for white in estimate.whitened])[:-1])
+    products = system.T @ system
+    noisy = np.zeros_like(products)
+    parts = np.split(system, np.cumsum([len(white) for white in estimate.whitened])[:-1])
     for part, white, one in zip(parts, estimate.whitened, estimate.colours, strict=True):
         if one.error.order:
             projected = on_cosines(part * white[:, None], one.freedom)
             noisy += projected.T @ projected / one.freedom
         else:
             noisy += part.T @ part
-    size, directions = np.linalg.eigh(rows.T @ rows)
-    seen = size > LEAST * size.max(initial=0.0)
-    directions = directions[:, seen] / np.sqrt(size[seen])
-    power = directions.T @ noisy @ directions + LEAST * np.eye(int(seen.sum()))
-    shown = directions * size[seen] * scale[:, None]
+    basis = spanning(products)
+    power = basis.T @ noisy @ basis + SMALLEST**2 * np.eye(basis.shape[1])
+    shown = products @ basis
     return np.asarray(shown @ np.linalg.inv(power) @ shown.T, np.float64)

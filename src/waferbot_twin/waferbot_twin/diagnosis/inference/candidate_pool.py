@@ -38,9 +38,9 @@ from waferbot_twin.diagnosis.proposals.screening import (
     signatures_beside,
 )
 from waferbot_twin.effects.effect import Effect
+from waferbot_twin.estimation.conditional import conditional_errors
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
-    conditional_errors,
     evaluate,
     in_quick_steps,
     parameters_of,
