@@ -163,7 +163,7 @@ def signature(
 
     With `errors` (k,), how far each parameter must move, the others where they are, for the logs to show
     it (`estimation.conditional`), slopes are those over that way. Over a longer one a machine that
-    sticks and slips does another thing, and a fit with such slopes ends where the likelihood still rises.
+    sticks and slips does another thing: a fit with such slopes ends where the likelihood still rises.
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
