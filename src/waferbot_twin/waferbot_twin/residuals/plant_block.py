@@ -23,14 +23,15 @@ follows.
 A reading that is late is compared with where the plant was by then, as corrected since: without the
 latter the observer, and with it the spread of e, would depend on the delay.
 
-What moves together as long as nothing gives is corrected together, by its first encoder: a carriage
-with its counterweight, an axis with its motor. A model in which a connection gives is held by the
-Kalman filter of which that is the limit (`flexible_observer`): a ring that noise of the currents makes
-in the simulation alone is taken out of it again. Where a spring joins two coordinates that both have
-an encoder, a motor and its load, the second holds its own coordinate by what the first leaves of its
-error: corrected with the load alone, a motor in the gap of its gears bounces for ever, as each
-correction gives back to it what an impact took. With k the slope of the spring's force now, zero in the
-gap, and J what it carries, that correction is
+What moves together as long as nothing gives is corrected together, a carriage with its counterweight,
+an axis with its motor, by the finest of its encoders: the steps of a coarse one would push a machine
+that creeps, of which every friction law makes something else. A model in which a connection gives is
+held by the Kalman filter of which that is the limit (`flexible_observer`): a ring that noise of the
+currents makes in the simulation alone is taken out of it again. Where a spring joins two coordinates
+that both have an encoder, a motor and its load, the coarser one holds its own coordinate by what the
+finer leaves of its error: held by the load alone, a motor in the gap of its gears bounces for ever, as
+each correction gives back to it what an impact took. With k the slope of the spring's force now, zero
+in the gap, and J = J1 J2 / (J1 + J2) the inertia with which its ends ring, that correction is
 
     1 / (1 + (k / (J (5 w)^2))^n),        n = 3, with play 2,
 
@@ -75,7 +76,7 @@ OBSERVER_DAMPING = 0.7
 
 STIFF = 5.0
 """
-A spring on which its end swings so many times as fast as the observer is stiff: the encoder at that end
+A spring that rings so many times as fast as the observer is stiff: the coarser encoder at its ends
 corrects half as much, and less and less on stiffer ones, which noise of readings would only set ringing.
 """
 
@@ -126,6 +127,8 @@ class PlantBlock:
             if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
         ]
         self.channels = [ENCODERS[place] for place in self._places]
+        # Of the model that is given: which encoder holds an axis is the same for all that are compared.
+        self._finest_first = sorted(self._places, key=lambda place: self._step(variant, place))
         self._samples: list[NDArray[np.intp]] = []
         self.rates_hz: list[float] = []
         self._common_steps: list[int] = []
@@ -168,6 +171,12 @@ class PlantBlock:
             )
         ]
 
+    def _step(self, variant: Variant, place: int) -> float:
+        """Return the step of an encoder in the motion that its axis makes if nothing gives."""
+        encoder = variant.description.encoders[ENCODERS[place]]
+        _, ratio = self._rigid.get(encoder.coordinate, ('', 1.0))
+        return self.record.resolution[place] / abs(encoder.counts_per_unit * ratio)
+
     def _beside(self) -> list[int]:
         """Return how many places further on the other encoder of each one's axis is; 0 without one."""
         axes = [AXIS_OF[name] for name in self.channels]
@@ -194,9 +203,9 @@ class PlantBlock:
         Return the block with a step of the simulation for each cycle of the encoders.
 
         Fewer steps by the encoders' divider of the tick, two of the machine of the thesis. What a cause
-        changes differs by less than 5 % of its RMS (test_plant_block: seven causes, one of which rings
-        at 75 Hz). What is left over itself is not as exact: a residual is to be compared with others of
-        the same block only.
+        changes differs by less than 5 % of its RMS (test_plant_block: six causes, one of which rings
+        at 75 Hz; 16 % of a play). What is left over itself is not as exact: a residual is to be compared
+        with others of the same block only.
         """
         timing = self.record.timing
         if timing.encoder_divider == 1 or timing.current_loop_hz % timing.encoder_divider:
@@ -322,7 +331,7 @@ class PlantBlock:
         """
         Return how far each coordinate of a machine goes with each encoder's, (encoders, coordinates).
 
-        As if nothing gave. An encoder whose coordinate goes with that of an earlier one has that alone
+        As if nothing gave. An encoder whose coordinate goes with that of a finer one has that alone
         if a spring joins the two, and nothing if they are one. With it, for each encoder, the spring
         that it is behind and the encoder at the other end, (encoders, 2), or -1.
         """
@@ -332,7 +341,7 @@ class PlantBlock:
             self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
         ]
         first: dict[int | str, tuple[int, int]] = {}
-        for encoder in self._places:
+        for encoder in self._finest_first:
             coordinate = int(p['encoder_coordinate'][encoder])
             what, own = moves[coordinate]
             if what in first:
@@ -465,11 +474,11 @@ def _drive(
     for encoder in range(reading.shape[1]):
         spring = behind[encoder, 0]
         if spring >= 0:
-            own = p['encoder_coordinate'][encoder]
-            ratio = p['spring_first_ratio'][spring]
-            if p['spring_first'][spring] != own:
-                ratio = p['spring_second_ratio'][spring]
-            inertia[encoder] = s['mass_matrix'][own, own] / ratio**2
+            first, second = p['spring_first'][spring], p['spring_second'][spring]
+            inertia[encoder] = 1.0 / (
+                p['spring_first_ratio'][spring] ** 2 / s['mass_matrix'][first, first]
+                + p['spring_second_ratio'][spring] ** 2 / s['mass_matrix'][second, second]
+            )
     for encoder in range(reading.shape[1]):
         if p['counts_per_unit'][encoder] != 0.0:
             now = encoders.seen_counts(s, p, encoder)
