@@ -13,7 +13,7 @@ cannot be told from it in some motions: naming one is neither right nor a false 
         the library's direction_dependent_friction is that sum
     stribeck (breakaway, speed): stribeck_friction
     viscous (damping): viscous_friction [2]
-    mass (amount, kg or kg m2): wrong_inertia; force_constant, encoder_scale
+    mass (amount, kg or kg m2): wrong_inertia [2]; force_constant, encoder_scale
     motor_constant (ratio): force_constant; wrong_inertia, encoder_scale
     constant_force (force): constant_force
     imbalance (offset_x, offset_y, m): centre_of_gravity
@@ -26,8 +26,8 @@ cannot be told from it in some motions: naming one is neither right nor a false 
     compliance (rad/Nm at the output): gearbox_compliance
 
 1. Where the description has dry friction, wrong_friction, too. 2. Of a gear that does not give, what is
-before it acts just as well: gearbox_friction, gearbox_damping. 3. There, what is right for coulomb is
-right as well.
+before it acts just as well: gearbox_friction, gearbox_damping, motor_inertia. 3. There, what is right
+for coulomb is right as well.
 
 Mass and motor constant are told apart by nothing but friction, weight and the like, which the log may
 not hold: a diagnosis that names one has to have the other in its set of what it cannot tell apart.
@@ -90,6 +90,8 @@ def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Ma
         amount = values['amount']
         parameter = 'mass' if machine.linear else 'inertia'
         right = (Answer('wrong_inertia', {parameter: amount}),)
+        if stiff_gear:
+            right += (Answer('motor_inertia', {'inertia': amount / machine.ratio**2}),)
         return Answers(right, _in_other_measure(machine, 'force_constant'))
     if kind in ('encoder_delay', 'drive_delay'):
         right = (

@@ -469,9 +469,10 @@ def test_friction_that_differs_with_direction_is_coulomb_friction_and_a_constant
         ('counterweight_friction', 'y_linear', 1),
         ('gearbox_friction', 'y_rotate', 1),
         ('gearbox_damping', 'y_rotate', 2),  # the speed of the motor is larger by the ratio, too
+        ('motor_inertia', 'y_rotate', 2),
     ],
 )
-def test_friction_behind_what_may_give_is_told_from_that_of_the_axis_only_if_it_does(
+def test_what_is_behind_what_may_give_is_told_from_the_same_at_the_axis_only_if_it_does(
     name, axis, power
 ):
     effect = find(name)

@@ -43,6 +43,7 @@ BESIDE_THEM = (
     'counterweight_friction',
     'gearbox_damping',
     'gearbox_friction',
+    'motor_inertia',
     'wafer',
 )
 """Effects that are not hidden there either: a mass or friction that is off looks like them."""

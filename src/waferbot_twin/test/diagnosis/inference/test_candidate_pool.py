@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prior odds of candidates: of several ways in which one may be made, one is true."""
+"""Which candidates there are beside known causes, and their prior odds."""
 
 from __future__ import annotations
 
@@ -14,22 +14,28 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem
 
 
-def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
-    """A cause that is tried at three orders, and with the order free, is no likelier for it."""
+def pool_of(experiment, names):
+    """Return a pool of effects for the log of the nominal model in an experiment."""
     nominal, timing = Variant.of(load_model('rigid')), Timing()
-    motion = load_experiment('full_stroke_y_linear')
+    motion = load_experiment(experiment)
     parameters = servo_parameters(nominal.pmac, nominal.name)
     commanded = commanded_positions(motion, parameters, timing.servo_hz)
     signals = run_commanded(nominal, timing, commanded, timing.ticks(0.3))
-    names = ('coulomb_friction', 'viscous_friction', 'cogging')
     problem = Problem(nominal, [record_of_signals('log', signals)])
-    pool = CandidatePool(problem, [find(name) for name in names], Settings(), lambda *_: None)
+    return CandidatePool(problem, [find(name) for name in names], Settings(), lambda *_: None)
+
+
+def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
+    """A cause that is tried at three orders, and with the order free, is no likelier for it."""
+    pool = pool_of('full_stroke_y_linear', ('coulomb_friction', 'viscous_friction', 'cogging'))
+    nominal = pool.problem.nominal
     odds = {}
     for name in pool.names:
         effect, axis = find(name.split(':')[0]), name.split(':')[1]
@@ -39,3 +45,32 @@ def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
     trials = len(find('cogging').trials(nominal, 'y_linear'))
     assert trials == 3
     assert odds['cogging:y_linear'] == pytest.approx(alone - math.log(trials + 1))
+
+
+def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
+    """
+    Friction and inertia of the motor are those of the axis as long as nothing gives between the two.
+
+    Beside a belt that stretches they are not: without them a machine of which both lack has no true
+    model.
+    """
+    before = {'gearbox_friction': 'coulomb_friction', 'motor_inertia': 'wrong_inertia'}
+    pool = pool_of('random_y_rotate', ('belt_compliance', *before, *before.values()))
+    problem = pool.problem
+
+    def typical(name):
+        effect = find(name)
+        return Cause(effect, 'y_rotate', effect.typical(problem.nominal, 'y_rotate'))
+
+    nothing = evaluate(problem)
+    pool.begin(nothing)
+    belt = typical('belt_compliance')
+    for base, offered in ((nothing, False), (evaluate(problem, (belt,)), True)):
+        names = {item.cause.effect.name for item in pool.screen(base)}
+        assert names.issuperset(before.values())
+        assert names.intersection(before) == (set(before) if offered else set())
+    for name, of_axis in before.items():
+        found = evaluate(problem, (belt, typical(of_axis)))
+        assert name in {one.effect.name for one in pool.could_stand_for(found)}
+        alone = evaluate(problem, (typical(of_axis),))
+        assert name not in {one.effect.name for one in pool.could_stand_for(alone)}

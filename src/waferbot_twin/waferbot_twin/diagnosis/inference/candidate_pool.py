@@ -33,6 +33,7 @@ from waferbot_twin.diagnosis.proposals.screening import (
     Screened,
     alike,
     candidates,
+    indistinct_axes,
     screen,
     signatures,
     signatures_beside,
@@ -47,7 +48,7 @@ from waferbot_twin.estimation.hypothesis import (
     signature,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
-from waferbot_twin.residuals.problem import PLANT, Cause, Problem
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 
 LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
 """What a least-squares model of an axis has beside its mass and force constant."""
@@ -91,6 +92,7 @@ class CandidatePool:
         every = candidates(problem, effects)
         self.dense = [cause for cause in every if is_nuisance(cause)]
         self._candidates = [cause for cause in every if not is_nuisance(cause)]
+        self._indistinct = candidates(problem, effects, indistinct_axes)
         self.names: list[str] = list(dict.fromkeys(cause.name for cause in self._candidates))
         ways: dict[str, set[tuple[float, ...]]] = {}
         for cause in self._candidates:
@@ -153,6 +155,7 @@ class CandidatePool:
     def leave_out(self, name: str) -> None:
         """Take a candidate out."""
         self._candidates = [cause for cause in self._candidates if cause.name != name]
+        self._indistinct = [cause for cause in self._indistinct if cause.name != name]
         self.dense = [cause for cause in self.dense if cause.name != name]
 
     def usual(self) -> tuple[Cause, ...]:
@@ -181,12 +184,13 @@ class CandidatePool:
         def found_anew(causes: Sequence[Cause]) -> list[Change | None]:
             return signatures(problem, base, causes, self.workers, self.progress)
 
+        told_apart = [one for one in self._told_apart(base) if one.name not in taken]
         tuned = [*at_tones(problem, base, rivals), *at_periods(problem, base, rivals)]
         return _best_first(
             [
                 *self._promises(base, again, found_anew, base.causes),
                 *kept,
-                *self._promises(base, tuned, found_anew, base.causes),
+                *self._promises(base, [*told_apart, *tuned], found_anew, base.causes),
                 *self._rings(base, rivals),
             ]
         )
@@ -230,7 +234,27 @@ class CandidatePool:
             and not set(blocks).isdisjoint(problem.touched(one.effect, one.axis))
             and (change := self._changes[self._at_first(one)]) is not None
         ]
-        return alike(base, own, rivals, signatures_beside(problem, base, of_others))
+        return [
+            *alike(base, own, rivals, signatures_beside(problem, base, of_others)),
+            *(
+                one
+                for one in self._told_apart(base)
+                if one.axis == cause.axis
+                and cause.effect.name in one.effect.same_as
+                and one.name not in taken
+            ),
+        ]
+
+    def _told_apart(self, base: Hypothesis) -> list[Cause]:
+        """
+        Return what does the same as something else in the nominal model, but not beside some causes.
+
+        Friction and inertia before a drive are those of the axis, as long as the drive does not give.
+        """
+        if not self._indistinct:
+            return []
+        variant = apply_all(self.problem.nominal, base.causes)
+        return [one for one in self._indistinct if one.axis in one.effect.distinct_axes(variant)]
 
     def _promises(
         self,

@@ -29,6 +29,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.repetition import can_repeat
 from waferbot_twin.diagnosis.proposals.threshold_grid import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
+from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
@@ -95,11 +96,19 @@ class Screened:
     likelihood: float
 
 
-def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
-    """Return every effect on every axis where the logs could show it, with none of it yet."""
+def candidates(
+    problem: Problem,
+    effects: Iterable[Effect],
+    axes_of: Callable[[Effect, Variant], Sequence[str]] = Effect.distinct_axes,
+) -> list[Cause]:
+    """
+    Return every effect on every axis where the logs could show it, with none of it yet.
+
+    `axes_of` an effect in the nominal model are those where no other effect does exactly the same.
+    """
     found: list[Cause] = []
     for effect in effects:
-        for axis in effect.distinct_axes(problem.nominal):
+        for axis in axes_of(effect, problem.nominal):
             if not problem.touched(effect, axis):
                 continue
             parameters = effect.parameters(problem.nominal, axis)
@@ -121,6 +130,12 @@ def candidates(problem: Problem, effects: Iterable[Effect]) -> list[Cause]:
                 found += rungs(problem, cause) if effect.threshold and not sized else [cause]
                 found += _tried(parameters, cause)
     return found
+
+
+def indistinct_axes(effect: Effect, variant: Variant) -> tuple[str, ...]:
+    """Return the axes where other effects do exactly what this one does, for `candidates`."""
+    distinct = effect.distinct_axes(variant)
+    return tuple(axis for axis in effect.axes(variant) if axis not in distinct)
 
 
 def _tried(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
