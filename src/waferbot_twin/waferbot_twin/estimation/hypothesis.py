@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.stacked_least_squares import by_channel
 from waferbot_twin.noise_model.prediction_error import Fit, log_likelihoods_with
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
@@ -199,6 +200,26 @@ def whole_change(
         )[:, None]
         for block in problem.touched(cause.effect, cause.axis)
     }
+
+
+def changed_by(
+    problem: Problem, residuals: Mapping[str, list[Array]], change: Mapping[str, Array]
+) -> Hypothesis:
+    """
+    Return what residuals by block are with a change (`whole_change`), in the noise that is left then.
+
+    Blocks that do not change are left out, and so are causes: there are none to be fitted.
+    """
+    left = {
+        block: [
+            one + part[:, 0]
+            for one, part in zip(
+                residuals[block], by_channel(matrix, residuals[block]), strict=True
+            )
+        ]
+        for block, matrix in change.items()
+    }
+    return Hypothesis((), left, problem.judge(left))
 
 
 def width_of(cause: Cause, item: Parameter) -> float:

@@ -203,9 +203,9 @@ class PlantBlock:
         Return the block with a step of the simulation for each cycle of the encoders.
 
         Fewer steps by the encoders' divider of the tick, two of the machine of the thesis. What a cause
-        changes differs by less than 5 % of its RMS (test_plant_block: six causes, one of which rings
-        at 75 Hz; 16 % of a play). What is left over itself is not as exact: a residual is to be compared
-        with others of the same block only.
+        changes differs by less than 5 % of its RMS (test_plant_block: seven causes, one of which rings
+        at 75 Hz). What is left over itself is not as exact: a residual is to be compared with others of
+        the same block only.
         """
         timing = self.record.timing
         if timing.encoder_divider == 1 or timing.current_loop_hz % timing.encoder_divider:
@@ -276,6 +276,7 @@ class PlantBlock:
             0.5 if record.whole_counts else 0.0,
             record.timing.encoder_divider,
             2.0 * math.pi * self._observer_hz,
+            np.array(self._finest_first, np.int64),
             together,
             behind,
             *gains,
@@ -433,6 +434,7 @@ def _drive(
     half_count,
     divider,
     observer,
+    finest_first,
     together,
     behind,
     gain_position,
@@ -452,8 +454,9 @@ def _drive(
     currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
     missing; `half_count` is added to them, because counts are rounded down (of a coarse encoder half of
     its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends`
-    (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `together` (encoders, z) says how far
-    it moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
+    (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `finest_first` are the encoders
+    that are looked at, one before those that are behind it; `together` (encoders, z) says how far one
+    moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
     the other end. `gain_position` and `gain_velocity` (encoders, z) are those of a plant that gives
     (`flexible_observer`; 0, z if there are none) for readings `usual_rows` (encoders,) apart.
     Coordinates of `standing` (z,) do not move. Returns the coordinate for which the simulation blew
@@ -490,7 +493,7 @@ def _drive(
     for tick in range(line_current.shape[0]):
         if tick % divider == 0 and tick // divider < reading.shape[0]:
             row = tick // divider
-            for encoder in range(reading.shape[1]):
+            for encoder in finest_first:
                 per_unit = p['counts_per_unit'][encoder]
                 if per_unit == 0.0:
                     continue

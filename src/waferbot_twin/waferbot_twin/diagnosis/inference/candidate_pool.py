@@ -8,7 +8,8 @@ the causes of its blocks, however many rounds there are, and lines in the spectr
 they stay where they are.
 
 Signatures are found once, beside the causes with which a search begins. In blocks where others are known
-by then, those of the most promising candidates are found anew. A search that begins with other causes
+by then, those of the most promising candidates are found anew, and of all that let a part go: with it
+every other cause does something else. A search that begins with other causes
 finds only those anew whose blocks these change.
 """
 
@@ -31,12 +32,16 @@ from waferbot_twin.diagnosis.proposals.screening import (
     Change,
     Progress,
     Screened,
+    Values,
     alike,
     candidates,
     indistinct_axes,
+    lets_go,
     screen,
     signatures,
     signatures_beside,
+    that_touch,
+    values_of,
 )
 from waferbot_twin.effects.effect import Effect
 from waferbot_twin.estimation.conditional import conditional_errors
@@ -59,13 +64,10 @@ KEPT = 2
 ANEW = 30
 """How many signatures are found anew once a cause is known."""
 
-_Values = tuple[str, tuple[tuple[str, float], ...]]
-"""A cause by name and values."""
-
-_Beside = tuple[_Values, ...]
+_Beside = tuple[Values, ...]
 """The causes that are known in the blocks that a candidate changes."""
 
-_Asked = tuple[_Values, _Beside, _Beside]
+_Asked = tuple[Values, _Beside, _Beside]
 """A candidate, what was known when its signature was found, and what is known now."""
 
 
@@ -101,8 +103,10 @@ class CandidatePool:
             )
         # One way more is that it is none of them: what is held is then fitted.
         self._ways = {name: len(own) + (own != {()}) for name, own in ways.items()}
+        largest = {cause.name: cause for cause in self._candidates}
+        self._letting_go = {name for name, cause in largest.items() if lets_go(problem, (), cause)}
         self._beside: Sequence[Cause] = ()
-        self._changes: dict[tuple[_Values, _Beside], Change | None] = {}
+        self._changes: dict[tuple[Values, _Beside], Change | None] = {}
         self._screened: dict[_Asked, Screened | None] = {}
         self._of_base: dict[frozenset[Hashable], dict[str, Signature]] = {}
         self._rings = Rings(problem, settings.most_refits, workers)
@@ -179,7 +183,12 @@ class CandidatePool:
             if changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
         }
         kept = [item for item in screened if item.cause.name not in stale]
-        again = [item.cause for item in screened if item.cause.name in stale][:ANEW]
+        unsure = [item.cause for item in screened if item.cause.name in stale]
+        again = [
+            cause
+            for place, cause in enumerate(unsure)
+            if place < ANEW or cause.name in self._letting_go
+        ]
 
         def found_anew(causes: Sequence[Cause]) -> list[Change | None]:
             return signatures(problem, base, causes, self.workers, self.progress)
@@ -269,7 +278,11 @@ class CandidatePool:
         What they change was found beside other causes.
         """
         asked = [
-            (_values(rival), self._that_touch(beside, rival), self._that_touch(base.causes, rival))
+            (
+                values_of(rival),
+                self._that_touch(beside, rival),
+                self._that_touch(base.causes, rival),
+            )
             for rival in rivals
         ]
         unknown = {
@@ -282,14 +295,14 @@ class CandidatePool:
             changes, of_base = changes_of(causes), self.signatures_of(base)
             scales = self.settings.prior_scales
             found = screen(self.problem, base, causes, changes, of_base, scales, self.workers)
-            by_values = {_values(item.cause): item for item in found}
-            self._screened |= {key: by_values.get(_values(unknown[key])) for key in unknown}
+            by_values = {values_of(item.cause): item for item in found}
+            self._screened |= {key: by_values.get(values_of(unknown[key])) for key in unknown}
         known = (self._screened[key] for key in asked)
         return _best_first(item for item in known if item is not None)
 
     def signatures_of(self, base: Hypothesis) -> list[Signature]:
         """Return what the causes of `base` themselves change."""
-        key = frozenset((_values(cause), cause.held) for cause in base.causes)
+        key = frozenset((values_of(cause), cause.held) for cause in base.causes)
         if key not in self._of_base:
             while len(self._of_base) >= KEPT:
                 self._of_base.pop(next(iter(self._of_base)))
@@ -310,8 +323,8 @@ class CandidatePool:
     def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:
         return [self._changes[self._at_first(rival)] for rival in rivals]
 
-    def _at_first(self, candidate: Cause) -> tuple[_Values, _Beside]:
-        return _values(candidate), self._that_touch(self._beside, candidate)
+    def _at_first(self, candidate: Cause) -> tuple[Values, _Beside]:
+        return values_of(candidate), self._that_touch(self._beside, candidate)
 
     def damped_rings(self, base: Hypothesis) -> list[Screened]:
         """Return which compliances may make rings that no line shows, best first; slow."""
@@ -325,22 +338,15 @@ class CandidatePool:
     def _in_plant(self, base: Hypothesis) -> _Beside:
         """Return the causes of `base` that change the plant alone."""
         return tuple(
-            _values(cause)
+            values_of(cause)
             for cause in base.causes
             if self.problem.touched(cause.effect, cause.axis) == (PLANT,)
         )
 
     def _that_touch(self, causes: Sequence[Cause], candidate: Cause) -> _Beside:
         """Return those of some causes that change any block that a candidate changes."""
-        blocks = set(self.problem.touched(candidate.effect, candidate.axis))
-        return self._that_change(causes, blocks)
-
-    def _that_change(self, causes: Sequence[Cause], blocks: set[str]) -> _Beside:
-        return tuple(
-            _values(cause)
-            for cause in causes
-            if blocks.intersection(self.problem.touched(cause.effect, cause.axis))
-        )
+        blocks = self.problem.touched(candidate.effect, candidate.axis)
+        return that_touch(self.problem, causes, blocks)
 
     def _changed(self, causes: Sequence[Cause]) -> set[str]:
         """Return the blocks in which other causes are known now than at first."""
@@ -349,10 +355,6 @@ class CandidatePool:
         return {
             block for cause in others for block in self.problem.touched(cause.effect, cause.axis)
         }
-
-
-def _values(cause: Cause) -> _Values:
-    return cause.name, tuple(sorted(cause.values.items()))
 
 
 def _best_first(items: Iterable[Screened]) -> list[Screened]:

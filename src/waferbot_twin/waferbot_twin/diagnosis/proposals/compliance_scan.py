@@ -25,6 +25,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
+    changed_by,
     evaluate,
     in_quick_steps,
     log_likelihood_ratio,
@@ -364,14 +365,4 @@ def gain_in_any_phase(problem: Problem, base: Hypothesis, change: Signature) -> 
 
 def gain_as_it_is(problem: Problem, base: Hypothesis, change: Signature) -> float:
     """Return the gain in 2 ln L of a change of the residuals as it is."""
-    left = {
-        block: [
-            one + part[:, 0]
-            for one, part in zip(
-                base.residuals[block], by_channel(matrix, base.residuals[block]), strict=True
-            )
-        ]
-        for block, matrix in change.items()
-    }
-    changed = Hypothesis((), left, problem.judge(left))
-    return 2.0 * log_likelihood_ratio(changed, base)
+    return 2.0 * log_likelihood_ratio(changed_by(problem, base.residuals, change), base)

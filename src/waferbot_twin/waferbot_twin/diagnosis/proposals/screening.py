@@ -30,10 +30,11 @@ from waferbot_twin.diagnosis.proposals.repetition import can_repeat
 from waferbot_twin.diagnosis.proposals.threshold_grid import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.estimation.evidence import log_occam
+from waferbot_twin.estimation.evidence import gain, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     between_bounds,
+    changed_by,
     evaluate,
     in_quick_steps,
     log_likelihood_ratios,
@@ -54,7 +55,7 @@ from waferbot_twin.noise_model.residual_spectrum import (
     power_along,
     powers_along,
 )
-from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
+from waferbot_twin.residuals.problem import PRIOR, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 Progress = Callable[[str, int, int], None]
@@ -62,6 +63,10 @@ Progress = Callable[[str, int, int], None]
 
 CHUNK = 8
 """Candidates that a worker takes at a time."""
+
+
+Values = tuple[str, tuple[tuple[str, float], ...]]
+"""A cause by name and values: an effect that went to a worker and back is not the same any more."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +78,16 @@ class Change:
     signature is, with its own noise: a part that lets go changes what an observer follows. `gained`
     is by how much, in 2 ln L, each channel (block and number) is likelier than in the model without. Of
     most there is none.
+
+    `own` is what one that lets a part go gains as it is, in the noise that is left with it, beside the
+    causes `beside`.
     """
 
     signature: Signature
     begun: Hypothesis | None = None
     gained: Mapping[tuple[str, int], float] = field(default_factory=dict)
+    own: Gain | None = None
+    beside: tuple[Values, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -191,12 +201,22 @@ def _signatures(
 def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Change:
     """Return what the last of `causes` changes; raises `UserError` if the simulation blows up."""
     rival = causes[-1]
+    blocks = problem.touched(rival.effect, rival.axis)
     if _tried_as_a_whole(problem, rival):
-        return Change(whole_change(problem, base, causes))
+        change = whole_change(problem, base, causes)
+        if not lets_go(problem, base.causes, rival):
+            return Change(change)
+        nothing = {block: np.zeros_like(part) for block, part in change.items()}
+        # The residuals of `base` are those of longer steps, its noise is not.
+        without, as_it_is = (changed_by(problem, base.residuals, one) for one in (nothing, change))
+        return Change(
+            change,
+            own=Gain(gain(as_it_is, without), gain(as_it_is, without, power_known=True)),
+            beside=that_touch(problem, base.causes, blocks),
+        )
     if rival.effect.begins_at == 0.0:
         return Change(signature(problem, base, causes, len(causes) - 1))
     begun = evaluate(problem, causes)
-    blocks = problem.touched(rival.effect, rival.axis)
     # The residuals of `base` are those of longer steps, its noise is not.
     judged = problem.judge({block: base.residuals[block] for block in blocks})
     without = replace(base, fits={**base.fits, **judged})
@@ -208,6 +228,36 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
             for block in blocks
             for number, ratio in enumerate(log_likelihood_ratios(begun, without, block))
         },
+    )
+
+
+def lets_go(problem: Problem, causes: tuple[Cause, ...], rival: Cause) -> bool:
+    """
+    Return whether with a candidate a connection gives that is rigid beside some causes.
+
+    The machine is another one then, and an observer follows more of it.
+    """
+    before, after = (
+        apply_all(problem.nominal, some).description.connections
+        for some in (causes, (*causes, rival))
+    )
+    return any(item.flexible and not before[name].flexible for name, item in after.items())
+
+
+def values_of(cause: Cause) -> Values:
+    """Return a cause by name and values."""
+    return cause.name, tuple(sorted(cause.values.items()))
+
+
+def that_touch(
+    problem: Problem, causes: Iterable[Cause], blocks: Iterable[str]
+) -> tuple[Values, ...]:
+    """Return those of some causes that change any of some blocks."""
+    blocks = set(blocks)
+    return tuple(
+        values_of(cause)
+        for cause in causes
+        if not blocks.isdisjoint(problem.touched(cause.effect, cause.axis))
     )
 
 
@@ -280,7 +330,8 @@ def _screen(
             beside = known[blocks] = _Known.of(base, together, blocks)
         linear = _Linear.of(beside, _white(change.begun or base, shown), change.gained)
         if _tried_as_a_whole(problem, rival):
-            item = linear.as_a_whole(rival)
+            now = change.beside == that_touch(problem, base.causes, change.signature)
+            item = linear.as_a_whole(rival, change.own if now else None)
         else:
             item = linear.with_values(problem, rival, scales)
         if item is not None:
@@ -395,7 +446,7 @@ def _without(rows: Array, columns: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Gain:
+class Gain:
     """What a change gains in ln L, and in noise whose power is known (`Screened`)."""
 
     score: float
@@ -409,7 +460,7 @@ class _Gain:
         left: list[Array],
         change: list[Array],
         already: Sequence[float],
-    ) -> _Gain:
+    ) -> Gain:
         """Take what is left over without and with the change, and what had been gained before."""
         powers = powers_along(left, change, known.colours)
         squares = [
@@ -439,8 +490,8 @@ class _Linear:
     value: Array
     information: Array
     square: float
-    fitted: _Gain
-    as_it_is: _Gain
+    fitted: Gain
+    as_it_is: Gain
 
     @classmethod
     def of(cls, known: _Known, own: _White, gained: Mapping[tuple[str, int], float]) -> _Linear:
@@ -468,18 +519,23 @@ class _Linear:
             value,
             products * np.outer(scale, scale) / power.value,
             sum(float(part @ part) for part in first) / power.value,
-            _Gain.of(known, known.split(known.left), known.split(after), change, already),
-            _Gain.of(known, known.before, moved, first, [0.0] * len(moved)),
+            Gain.of(known, known.split(known.left), known.split(after), change, already),
+            Gain.of(known, known.before, moved, first, [0.0] * len(moved)),
         )
 
-    def as_a_whole(self, rival: Cause) -> Screened | None:
-        """Return the evidence for a candidate whose signature is all that it changes at its values."""
-        better = self.as_it_is.likelihood > self.fitted.likelihood
+    def as_a_whole(self, rival: Cause, own: Gain | None) -> Screened | None:
+        """
+        Return the evidence for a candidate whose signature is all that it changes at its values.
+
+        `own` is its gain as it is in the noise that it leaves (`Change`).
+        """
+        as_it_is = max(self.as_it_is, own or self.as_it_is, key=lambda one: one.likelihood)
+        better = as_it_is.likelihood > self.fitted.likelihood
         if self.value[0] <= 0.0 and not better:
             return None
         # Half of the steps that readings show themselves is not to be had.
-        gain = self.as_it_is if better or rival.effect.evident else self.fitted
-        return gain.screened(rival, np.zeros(rival.free), -0.5 * math.log1p(self.square))
+        gained = as_it_is if better or rival.effect.evident else self.fitted
+        return gained.screened(rival, np.zeros(rival.free), -0.5 * math.log1p(self.square))
 
     def with_values(
         self, problem: Problem, rival: Cause, scales: Sequence[float]
