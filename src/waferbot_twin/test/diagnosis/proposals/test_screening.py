@@ -14,12 +14,18 @@ from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
-from waferbot_twin.diagnosis.proposals.screening import candidates, screen, signatures
+from waferbot_twin.diagnosis.proposals.screening import (
+    Gain,
+    candidates,
+    lets_go,
+    screen,
+    signatures,
+)
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.gauss_newton import fit_causes
-from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.estimation.hypothesis import evaluate, in_quick_steps
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
 from waferbot_twin.residuals.from_recording import record_of_signals
@@ -88,6 +94,46 @@ def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
     assert first.cause.name == true.name
     assert first.score > BEYOND_DOUBT
     assert gain(evaluate(problem, (first.cause,)), evaluate(problem)) > BEYOND_DOUBT
+
+
+def test_what_lets_a_part_go_is_judged_in_its_own_noise():
+    """
+    What it gains as it is counts as that of two models of which each has the noise that it leaves.
+
+    In the noise of the rigid model alone a true belt promised nothing: it leaves a quarter of the load's
+    error and, where the motor's friction lacks as well, three times the motor's.
+    """
+    nominal = Variant.of(load_model('rigid'))
+    belt, teeth = find('belt_compliance'), find('transmission_error')
+    true = Cause(belt, 'y_rotate', belt.typical(nominal, 'y_rotate'))
+    problem = log_of(nominal, true, 'random_y_rotate')
+    friction = Cause(find('coulomb_friction'), 'y_rotate', {'friction': 1.0})
+    assert lets_go(problem, (), true)
+    assert lets_go(problem, (friction,), true)
+    assert not lets_go(problem, (true,), Cause(belt, 'y_rotate', {'compliance': 1e-6}))
+    assert not lets_go(problem, (), friction)
+    base = evaluate(problem, (friction,))
+    every = [
+        cause
+        for cause in candidates(problem, [belt, teeth, find('coulomb_friction')])
+        if cause.axis == 'y_rotate' and any(cause.values.values())
+    ]
+    changes = signatures(problem, base, every, 1, quiet)
+    quick, begun = in_quick_steps(problem, base)
+    for cause, change in zip(every, changes, strict=True):
+        if cause.effect is not belt:
+            assert change.own is None
+            continue
+        model = evaluate(quick, (friction, cause))
+        without = replace(begun, fits=quick.judge(begun.residuals))
+        assert change.own.score == pytest.approx(gain(model, without), rel=1e-6)
+    # Beside another cause of the plant it would be another gain.
+    other = evaluate(problem, (friction.with_values({'friction': 2.0}),))
+    trial = next(place for place, cause in enumerate(every) if cause.effect is belt)
+    much = replace(changes[trial], own=Gain(1e3, 1e3))
+    for beside, counts in ((base, True), (other, False)):
+        (found,) = screen(problem, beside, [every[trial]], [much], [], Settings().prior_scales)
+        assert (found.score > 900.0) == counts
 
 
 def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():
