@@ -27,6 +27,11 @@ FRICTION = Cause(find('coulomb_friction'), 'y_linear', {'friction': 5.0})
 PULLED = Cause(find('constant_force'), 'y_linear', {'force': 30.0})
 
 
+def as_badly(name):
+    """Return that the validation data are predicted far worse with a cause, whichever."""
+    return -1e3
+
+
 @pytest.fixture(scope='module')
 def nominal():
     return Variant.of(load_model('rigid'))
@@ -46,8 +51,8 @@ def test_a_cause_of_both_logs_is_kept_and_one_of_the_first_alone_is_withdrawn(no
     """Somebody leaned against the machine while the log for estimation was taken."""
     estimation = [log(nominal, 'first', 'step', FRICTION, PULLED)]
     validation = [log(nominal, 'second', 'random_y_linear', FRICTION)]
-    causes = fitted_to(Problem(nominal, estimation), (FRICTION, PULLED))
-    found = extension_that_wins(nominal, causes, validation, TOLERATED)
+    causes = fitted_to(Problem(nominal, estimation), (FRICTION, PULLED)).causes
+    found = extension_that_wins(nominal, causes, validation, TOLERATED, as_badly)
     assert [cause.name for cause in found.causes] == [FRICTION.name]
     assert [cause.name for cause in found.withdrawn] == [PULLED.name]
     (gain,) = (item for item in found.gains if item.axis == 'y_linear')
@@ -61,8 +66,8 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
         for name, motion in (('first', 'step'), ('second', 'random_y_linear'))
     ]
     begun = FRICTION.with_values({'friction': 1.0}), PULLED.with_values({'force': 1.0})
-    causes = fitted_to(Problem(nominal, records[:1]), begun)
-    found = extension_that_wins(nominal, causes, records[1:], TOLERATED)
+    causes = fitted_to(Problem(nominal, records[:1]), begun).causes
+    found = extension_that_wins(nominal, causes, records[1:], TOLERATED, as_badly)
     assert not found.withdrawn
     friction, pulled = found.causes
     assert friction.values['friction'] == pytest.approx(5.0, rel=0.05)
@@ -73,7 +78,7 @@ def test_causes_of_both_logs_are_kept_with_values_of_the_first(nominal):
 
 def test_without_causes_nothing_is_gained_or_lost(nominal):
     record = log(nominal, 'only', 'step')
-    found = extension_that_wins(nominal, (), [record], TOLERATED)
+    found = extension_that_wins(nominal, (), [record], TOLERATED, as_badly)
     assert found.causes == found.withdrawn == ()
     assert [item.improvement_percent for item in found.gains] == pytest.approx([0.0] * 3)
 
@@ -101,7 +106,7 @@ def test_what_counts_is_the_mean_square_over_the_axes(monkeypatch, nominal, rati
         ]
 
     monkeypatch.setattr('waferbot_twin.validation.holdout.gains', gains)
-    found = extension_that_wins(nominal, (FRICTION,), [], TOLERATED)
+    found = extension_that_wins(nominal, (FRICTION,), [], TOLERATED, as_badly)
     assert bool(found.causes) == kept
     assert bool(found.withdrawn) != kept
 
@@ -125,8 +130,8 @@ def test_what_the_validation_data_refute_is_withdrawn_and_what_they_do_not_show_
     hidden = FRICTION, bias, unseen
     estimation = [log(nominal, 'first', 'step', *hidden, PULLED)]
     validation = [log(nominal, 'second', 'random_y_linear', *hidden)]
-    causes = fitted_to(Problem(nominal, estimation), (*hidden, PULLED))
-    judged = without_refuted(Problem(nominal, validation), causes, LEVEL)
+    causes = fitted_to(Problem(nominal, estimation), (*hidden, PULLED)).causes
+    judged = without_refuted(Problem(nominal, validation), causes, LEVEL, as_badly)
     assert [cause.name for cause in judged.refuted] == [PULLED.name]
     assert {cause.name for cause in judged.kept} == {cause.name for cause in hidden}
     assert judged.confirmed == {FRICTION.name, bias.name}
@@ -141,11 +146,13 @@ def test_what_the_blocks_confirm_stays_where_the_closed_loop_is_further_off(nomi
     bias = Cause(find('wrong_bias'), 'y_linear', {'difference': 342.0})
     validation = [log(nominal, 'second', 'random_y_linear', FRICTION, bias)]
     wrong = FRICTION.with_values({'friction': 60.0})
-    found = extension_that_wins(nominal, (bias, wrong), validation, TOLERATED, {bias.name})
+    found = extension_that_wins(
+        nominal, (bias, wrong), validation, TOLERATED, as_badly, {bias.name}
+    )
     assert found.causes == (bias,)
     assert found.withdrawn == (wrong,)
     both = extension_that_wins(
-        nominal, (bias, wrong), validation, TOLERATED, {bias.name, wrong.name}
+        nominal, (bias, wrong), validation, TOLERATED, as_badly, {bias.name, wrong.name}
     )
     assert both.causes == (bias, wrong)
     assert both.loses(TOLERATED)
@@ -165,16 +172,46 @@ def test_what_is_less_likely_than_the_level_is_refuted_the_worst_first(monkeypat
         return math.log(1.1 * level if alone and axis == AXES[1] else ratios[axis])
 
     monkeypatch.setattr('waferbot_twin.validation.holdout._gain_of', ratio)
-    judged = without_refuted(None, tuple(named.values()), level)
+    judged = without_refuted(None, tuple(named.values()), level, as_badly)
     assert [cause.axis for cause in judged.kept] == list(AXES[:2])
     assert [cause.axis for cause in judged.refuted] == [AXES[2]]
     assert not judged.confirmed
     ratios[AXES[1]] = ratios[AXES[2]] = 1.01 * level
-    assert without_refuted(None, tuple(named.values()), level).refuted == ()
+    assert without_refuted(None, tuple(named.values()), level, as_badly).refuted == ()
     ratios[AXES[0]] = 0.99 * level
-    judged = without_refuted(None, tuple(named.values()), level)
+    judged = without_refuted(None, tuple(named.values()), level, as_badly)
     assert [one.axis for one in judged.refuted] == [AXES[0]]
     ratios |= dict.fromkeys(AXES, 1.0 / level)
     ratios[AXES[2]] *= 1.1
-    judged = without_refuted(None, tuple(named.values()), level)
+    judged = without_refuted(None, tuple(named.values()), level, as_badly)
     assert {name.split(':')[1] for name in judged.confirmed} == {AXES[2]}
+
+
+def test_what_is_refuted_by_its_value_alone_stays_where_it_predicts_better(monkeypatch):
+    """A true cause of which the estimation data tell the value badly."""
+    named = {name: Cause(FRICTION.effect, name, FRICTION.values) for name in AXES}
+    ratios = dict(zip(AXES, (-20.0, -30.0, -40.0), strict=True))
+    predicted = dict(zip(AXES, (30.0, 0.0, -10.0), strict=True))
+    asked = []
+
+    def prediction(name):
+        asked.append(name.split(':')[1])
+        return predicted[asked[-1]]
+
+    monkeypatch.setattr(
+        'waferbot_twin.validation.holdout._gain_of',
+        lambda problem, causes, place: ratios[causes[place].axis],
+    )
+    judged = without_refuted(None, tuple(named.values()), LEVEL, prediction)
+    assert asked == list(reversed(AXES))
+    assert [cause.axis for cause in judged.refuted] == [AXES[2]]
+    assert {name.split(':')[1] for name in judged.confirmed} == {AXES[0]}
+
+
+def test_the_closed_loop_withdraws_nothing_that_predicts_better(nominal):
+    """Twice the friction that there is: what is still missing is to blame, if the blocks like it."""
+    validation = [log(nominal, 'second', 'random_y_linear', FRICTION)]
+    wrong = FRICTION.with_values({'friction': 60.0})
+    found = extension_that_wins(nominal, (wrong,), validation, TOLERATED, lambda name: 1.0)
+    assert found.causes == (wrong,)
+    assert found.loses(TOLERATED)

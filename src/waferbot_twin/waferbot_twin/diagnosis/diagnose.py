@@ -22,6 +22,7 @@ from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
+from waferbot_twin.diagnosis.inference.prediction import Prediction
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
@@ -160,14 +161,24 @@ def diagnose(
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
     to_estimate = Problem(nominal, estimation).with_prior(paths, settings.prior_scales)
+    estimated = fitted_to(to_estimate, posterior.found.causes)
+    prediction = Prediction(
+        (problem, posterior.found), (to_estimate, estimated), settings, workers
+    )
     judged = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
-        fitted_to(to_estimate, posterior.found.causes),
+        estimated.causes,
         settings.refutation_level,
+        prediction.log_ratio,
     )
     named = tuple(cause for cause in judged.kept if not is_discrepancy(cause))
     extension = extension_that_wins(
-        nominal, named, validation, settings.tolerated_loss, judged.confirmed
+        nominal,
+        named,
+        validation,
+        settings.tolerated_loss,
+        prediction.log_ratio,
+        judged.confirmed,
     )
     if extension.loses(settings.tolerated_loss):
         notes.append(

@@ -9,21 +9,24 @@ Causes are fitted to the estimation data alone, and asked twice in the validatio
 
     P(L_1 / L_0 < level) <= level,                                                                 (1)
 
-whatever the noise: what is below is refuted. One that the validation data do not show is not. Of
-several the one that is refuted most is withdrawn, and what is left is asked again. By the same
-inequality for L_0 / L_1, one with a ratio above 1 / level is confirmed.
+whatever the noise. It holds of likelihoods that are predictions: with values as sure as the estimation
+data tell them. With these values themselves the ratio is quickly found; where it is below, that of the
+predictions is asked (`diagnosis.inference.prediction`): what is below there, too, is refuted. What the
+validation data do not show is not. Of several the one that is refuted most is withdrawn, and what is
+left is asked again. By the same inequality for L_0 / L_1, one with a ratio above 1 / level is confirmed.
 
 **All blocks together, in closed loop.** The extended model loses where its RMS errors, over those of the
 nominal model, have a mean square over the axes that is larger than one, by more than is tolerated.
 Then the cause without which that is smallest is withdrawn, and what is left is asked again. A cause
-that the blocks confirm is not to blame: in closed loop what is still missing may hide behind what is
-wrong, and one error more undo another. Where all are confirmed the loss is told, and they stay.
+that is confirmed, or of which the prediction is better than without it, is not to blame: in closed loop
+what is still missing may hide behind what is wrong, and one error more undo another. Where that is true
+of all the loss is told, and they stay.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,10 +35,13 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.gauss_newton import fit_causes
-from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.validation.gain import AxisGain, gains
+
+Predicted = Callable[[str], float]
+"""ln of how much likelier the validation data are, predicted with the cause of a name, than without."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +59,12 @@ class Extension:
         return self.mean_square > 1.0 + tolerated
 
 
-def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> tuple[Cause, ...]:
-    """Return causes with the values of these logs, as they are where they do not stand there."""
+def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> Hypothesis:
+    """Return causes fitted to these logs, as they are where they do not stand there."""
     try:
-        return fit_causes(estimation, causes).causes
+        return fit_causes(estimation, causes)
     except UserError:
-        return causes
+        return evaluate(estimation, causes)
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,9 @@ class Judged:
     confirmed: frozenset[str]
 
 
-def without_refuted(validation: Problem, causes: tuple[Cause, ...], level: float) -> Judged:
+def without_refuted(
+    validation: Problem, causes: tuple[Cause, ...], level: float, predicted: Predicted
+) -> Judged:
     """
     Return what the validation data say of some causes, each block alone.
 
@@ -78,11 +86,22 @@ def without_refuted(validation: Problem, causes: tuple[Cause, ...], level: float
     """
     kept, refuted = causes, []
     gains_of_each: list[float] = []
+    of_predictions: dict[str, float] = {}
     while kept:
-        gains_of_each = [_gain_of(validation, kept, place) for place in range(len(kept))]
-        worst = int(np.argmin(gains_of_each))
-        if gains_of_each[worst] >= math.log(level):
+        gains_of_each = [
+            of_predictions[cause.name]
+            if cause.name in of_predictions
+            else _gain_of(validation, kept, place)
+            for place, cause in enumerate(kept)
+        ]
+        asked = [place for place, cause in enumerate(kept) if cause.name not in of_predictions]
+        worst = min(asked, key=lambda place: gains_of_each[place], default=None)
+        if worst is None or gains_of_each[worst] >= math.log(level):
             break
+        ratio = predicted(kept[worst].name)
+        if ratio >= math.log(level):
+            of_predictions[kept[worst].name] = ratio
+            continue
         refuted.append(kept[worst])
         # The others keep their values: fitted anew they would stand in for what was in that log alone.
         kept = (*kept[:worst], *kept[worst + 1 :])
@@ -111,21 +130,29 @@ def extension_that_wins(
     causes: tuple[Cause, ...],
     validation: Sequence[Record],
     tolerated_loss: float,
+    predicted: Predicted,
     confirmed: Collection[str] = (),
 ) -> Extension:
     """
     Return those of some causes, fitted to the estimation data, that win in the validation data.
 
     `tolerated_loss` is the rise of the mean square up to which nothing is lost (`inference.settings`).
-    Those `confirmed` there (`without_refuted`), by name, stay.
+    Those `confirmed` there (`without_refuted`), by name, stay, and those by which what is `predicted`
+    is nearer.
     Raises `UserError` if the nominal model does not run there.
     """
     kept = causes
     withdrawn: list[Cause] = []
     while kept:
         ratio, found = _ratio(nominal, kept, validation)
-        asked = [place for place, cause in enumerate(kept) if cause.name not in confirmed]
-        if ratio <= 1.0 + tolerated_loss or (not asked and found):
+        if ratio <= 1.0 + tolerated_loss:
+            return Extension(kept, tuple(withdrawn), found, ratio)
+        asked = [
+            place
+            for place, cause in enumerate(kept)
+            if cause.name not in confirmed and predicted(cause.name) <= 0.0
+        ]
+        if not asked and found:
             return Extension(kept, tuple(withdrawn), found, ratio)
         fewer = [(*kept[:place], *kept[place + 1 :]) for place in asked or range(len(kept))]
         ratios = [_ratio(nominal, one, validation)[0] for one in fewer]
