@@ -8,8 +8,8 @@ the causes of its blocks, however many rounds there are, and lines in the spectr
 they stay where they are.
 
 Signatures are found once, beside the causes with which a search begins. In blocks where others are known
-by then, those of the most promising candidates are found anew, and of all that let a part go: with it
-every other cause does something else. A search that begins with other causes
+by then, that of the most promising trial of every name is found anew, and those of all that let a part
+go: with one of these every other cause does something else. A search that begins with other causes
 finds only those anew whose blocks these change.
 """
 
@@ -60,9 +60,6 @@ LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
 
 KEPT = 2
 """Of how many hypotheses the signatures are kept: tens of megabytes each in long logs."""
-
-ANEW = 30
-"""How many signatures are found anew once a cause is known."""
 
 _Beside = tuple[Values, ...]
 """The causes that are known in the blocks that a candidate changes."""
@@ -178,16 +175,17 @@ class CandidatePool:
         screened = self._promises(base, rivals, self._as_found_at_first, self._beside)
         changed = self._changed(base.causes)
         stale = {
-            item.cause.name
-            for item in screened
-            if changed.intersection(problem.touched(item.cause.effect, item.cause.axis))
+            rival.name
+            for rival in rivals
+            if changed.intersection(problem.touched(rival.effect, rival.axis))
         }
         kept = [item for item in screened if item.cause.name not in stale]
-        unsure = [item.cause for item in screened if item.cause.name in stale]
+        first: dict[str, Cause] = {}
+        for cause in (*(item.cause for item in screened), *rivals):
+            first.setdefault(cause.name, cause)
         again = [
-            cause
-            for place, cause in enumerate(unsure)
-            if place < ANEW or cause.name in self._letting_go
+            *(one for name, one in first.items() if name in stale - self._letting_go),
+            *(one for one in rivals if one.name in stale & self._letting_go),
         ]
 
         def found_anew(causes: Sequence[Cause]) -> list[Change | None]:
