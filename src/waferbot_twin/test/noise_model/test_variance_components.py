@@ -12,6 +12,7 @@ from waferbot_twin.noise_model.variance_components import (
     COLOURED_HZ,
     Shapes,
     bands,
+    lines_of,
     powers_left,
     prediction_filter,
     variances,
@@ -100,7 +101,7 @@ def test_what_the_motion_takes_from_noise_is_not_missed_in_its_power(parts):
     true = weights @ shapes().on_lines(count)
     powers = []
     for _ in range(400):
-        lines = np.fft.rfft(noise_of(random, weights, count))[1:] / np.sqrt(count)
+        lines = lines_of(noise_of(random, weights, count))
         power, kept = powers_left(lines, motion, true)
         powers.append(power)
     band = bands(len(true))

@@ -47,7 +47,6 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_twin.noise_model.gram import spanning
 
 Array = NDArray[np.float64]
-Lines = NDArray[np.complex128]
 
 WHITE_HZ = (np.inf,)
 COLOURED_HZ = (1.0, 3.0, 10.0, 30.0, np.inf)
@@ -110,22 +109,27 @@ class Shapes:
     def _on_lines(self) -> dict[int, Array]:
         return {}
 
-    def motion_lines(self, count: int) -> Lines:
-        """The motion on those lines, (L, m); m is 0 if a residual has other samples than the motion."""
+    def motion_lines(self, count: int) -> Array:
+        """The motion on those `lines`, (2L, m); m is 0 if a residual has other samples than the motion."""
         if count != len(self.motion):
-            return np.zeros((count // 2, 0), np.complex128)
+            return np.zeros((2 * (count // 2), 0))
         return self._motion_lines
 
     @cached_property
-    def _motion_lines(self) -> Lines:
-        centred = self.motion - self.motion.mean(axis=0)
-        return np.asarray(np.fft.rfft(centred, axis=0)[1:] / math.sqrt(len(centred)))
+    def _motion_lines(self) -> Array:
+        return lines_of(self.motion)
 
     def _at(self, frequency_hz: Array) -> Array:
         x = frequency_hz / self.observer_hz
         force = 1.0 / ((1.0 - x**2) ** 2 + (2.0 * self.damping * x) ** 2)
         forces = [force / (1.0 + (frequency_hz / corner) ** 2) for corner in self.corners_hz]
         return np.stack([x**4 * force, np.ones_like(x), *forces])
+
+
+def lines_of(rows: Array) -> Array:
+    """Return the transform of rows (N,) or (N, k) but the line at zero: real parts, then imaginary ones."""
+    lines = np.fft.rfft(rows - rows.mean(axis=0), axis=0)[1:] / math.sqrt(len(rows))
+    return np.concatenate([lines.real, lines.imag])
 
 
 def variances(residual: Array, shapes: Shapes) -> Array:
@@ -138,13 +142,12 @@ def variances(residual: Array, shapes: Shapes) -> Array:
     and leave more there than they take.
     """
     count = len(residual)
-    lines = np.fft.rfft(residual - residual.mean())[1:] / math.sqrt(count)
-    total = float(np.mean(np.abs(lines) ** 2))
-    on_lines = shapes.on_lines(count)
+    lines, on_lines = lines_of(residual), shapes.on_lines(count)
+    total = 2.0 * float(np.mean(lines**2))
     found = np.full(len(on_lines), total / len(on_lines))
     if not total > 0.0:
         return found
-    band = bands(len(lines))
+    band = bands(on_lines.shape[1])
     sums = np.bincount(band, np.fft.rfftfreq(count, 1.0 / shapes.rate_hz)[1:])
     base = shapes.at(np.asarray(sums / np.bincount(band), np.float64))
     motion = shapes.motion_lines(count)
@@ -187,24 +190,30 @@ def bands(count: int) -> NDArray[np.intp]:
     return np.unique(band, return_inverse=True)[1]
 
 
-def powers_left(lines: Lines, motion: Lines, spectrum: Array) -> tuple[Array, Array]:
+def powers_left(lines: Array, motion: Array, spectrum: Array) -> tuple[Array, Array]:
     """
-    Return the power of lines (L,) without what goes with the motion (L, m), and the share of each kept.
+    Return the power of lines (L,) without what goes with the motion, and the share of each kept.
 
-    By least squares in noise of a spectrum (L,), x' S^-1 x as metric. Of noise of that spectrum a line
+    `lines` (2L,) and `motion` (2L, m) are real parts and then imaginary ones (`lines_of`). By least
+    squares in noise of a spectrum (L,), x' S^-1 x as metric. Of noise of that spectrum a line
     keeps the share 1 - h of its power, h what the fit follows of it (the leverage): in a log of a
     second the motion takes most of what is below 10 Hz. So it counts as 1 - h of a line, as restricted
     maximum likelihood counts degrees of freedom (H. D. Patterson, R. Thompson, Biometrika 58, 1971).
     """
     if not motion.shape[1]:
-        return np.abs(lines) ** 2, np.ones(len(lines))
-    root = np.sqrt(spectrum)
-    columns = motion / root[:, None]
-    spanned = columns @ spanning((columns.conj().T @ columns).real)
-    wanted = lines / root
-    left = wanted - spanned @ (spanned.conj().T @ wanted).real
-    followed = 0.5 * np.sum(np.abs(spanned) ** 2, axis=1)
-    return np.abs(left) ** 2 * spectrum, np.maximum(1.0 - followed, 0.0)
+        return _of_both_parts(lines**2), np.ones(len(spectrum))
+    root = np.sqrt(np.concatenate([spectrum, spectrum]))
+    columns, wanted = motion / root[:, None], lines / root
+    spanned = columns @ spanning(columns.T @ columns)
+    left = wanted - spanned @ (spanned.T @ wanted)
+    followed = 0.5 * _of_both_parts(np.einsum('lm,lm->l', spanned, spanned))
+    return _of_both_parts(left**2) * spectrum, np.maximum(1.0 - followed, 0.0)
+
+
+def _of_both_parts(squares: Array) -> Array:
+    """Return the sums (L,) of what there is of real and of imaginary parts (2L,)."""
+    real, imaginary = np.split(squares, 2)
+    return np.asarray(real + imaginary)
 
 
 def prediction_filter(residual: Array, order: int, shapes: Shapes) -> Array:
