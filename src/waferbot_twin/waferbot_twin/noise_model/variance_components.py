@@ -110,7 +110,7 @@ class Shapes:
         return {}
 
     def motion_lines(self, count: int) -> Array:
-        """The motion on those `lines`, (2L, m); m is 0 if a residual has other samples than the motion."""
+        """The motion on those lines, (2L, m); m is 0 if a residual has other samples than the motion."""
         if count != len(self.motion):
             return np.zeros((2 * (count // 2), 0))
         return self._motion_lines
@@ -127,7 +127,7 @@ class Shapes:
 
 
 def lines_of(rows: Array) -> Array:
-    """Return the transform of rows (N,) or (N, k) but the line at zero: real parts, then imaginary ones."""
+    """Return the transform of rows (N,) or (N, k) but for zero: real parts, then imaginary ones."""
     lines = np.fft.rfft(rows - rows.mean(axis=0), axis=0)[1:] / math.sqrt(len(rows))
     return np.concatenate([lines.real, lines.imag])
 
