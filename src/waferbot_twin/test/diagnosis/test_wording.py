@@ -10,7 +10,7 @@ import pytest
 
 from waferbot_twin.diagnosis.diagnose import Alternative, FoundCause
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
-from waferbot_twin.diagnosis.report import parameter_texts
+from waferbot_twin.diagnosis.parameters import parameter_texts
 from waferbot_twin.diagnosis.wording import LONGEST_SENTENCE, in_words, sentence, size
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
@@ -117,7 +117,7 @@ def test_without_causes_the_model_explains_the_logs_or_nothing_does(nominal):
 def test_no_unit_is_one_of_the_controllers_own(nominal, every_cause):
     for cause in every_cause:
         rows = parameter_texts(nominal, found(nominal, cause))
-        told = ' '.join([size(nominal, cause), *(value for _, value, _ in rows)])
+        told = ' '.join([size(nominal, cause), *(f'{row.value} {row.interval}' for row in rows)])
         assert not re.search(r'\b(counts?|cycles|bits|interrupts)\b', told), told
 
 

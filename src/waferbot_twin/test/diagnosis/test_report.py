@@ -11,7 +11,7 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.diagnosis import figures, report
+from waferbot_twin.diagnosis import forces, report
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -140,9 +140,11 @@ def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
         '40.5 to 41.5 kg',
         'What stays unexplained',
         'its speed',
+        'Residual force over speed and position',
         'Error before and after',
         'What each part of the loop leaves over',
-        'Residual force over speed and position',
+        'Withdrawn, and notes',
+        'a note on',
     ]
     places = [text.find(words) for words in order]
     assert -1 not in places, dict(zip(order, places, strict=True))
@@ -156,14 +158,16 @@ def test_nothing_is_said_in_the_controllers_own_units(parsed):
 
 
 def test_residual_force_over_speed_is_the_friction(diagnosis):
-    forces = figures.residual_forces(diagnosis.problem, diagnosis.before, 'x_rotate')
-    speed = forces[0]
-    fast = np.abs(speed.at) > 0.3 * np.abs(speed.at).max()
+    speed, _ = forces.residual_forces(diagnosis.problem, diagnosis.before, 'x_rotate')
+    fast = np.abs(speed.centre) > 0.3 * np.abs(speed.centre).max()
     # 8 %: the inertia is that at home, and the observer needs some ms after each reversal.
     np.testing.assert_allclose(
-        speed.mean[fast], -FRICTION_NM * np.sign(speed.at[fast]), rtol=0.0, atol=0.08 * FRICTION_NM
+        speed.mean[fast],
+        -FRICTION_NM * np.sign(speed.centre[fast]),
+        rtol=0.0,
+        atol=0.08 * FRICTION_NM,
     )
-    after = figures.residual_forces(diagnosis.problem, diagnosis.after, 'x_rotate')[0]
+    after, _ = forces.residual_forces(diagnosis.problem, diagnosis.after, 'x_rotate')
     assert np.abs(after.mean).max() < 0.05 * FRICTION_NM
 
 
@@ -174,6 +178,7 @@ def test_json_has_what_the_page_says(diagnosis, tmp_path):
     cause = content['causes'][0]
     assert cause['parameters']['friction'] == {
         'value': FRICTION_NM, 'unit': 'Nm', 'low95': 1.4, 'high95': 1.6,
+        'told': True, 'on_bound': False,
     }  # fmt: skip
     assert cause['reading'] == 'likely'
     assert [item['probability'] for item in cause['credible_set']] == [0.9, 0.08]

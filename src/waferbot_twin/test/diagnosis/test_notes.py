@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Notes are in plain words: no names of code, of causes or of axes."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_twin.diagnosis import notes
+from waferbot_twin.effects import find
+from waferbot_twin.residuals.problem import Cause
+
+PULL = Cause(find('constant_force'), 'x_rotate', {'force': 1.0})
+
+
+@pytest.mark.parametrize('said', [notes.refuted(PULL), notes.worse_with(PULL)])
+def test_what_was_withdrawn_is_said_as_an_engineer_says_it(said):
+    assert said.startswith('constant force on X-Rotate was withdrawn: ')
+    assert ':x_rotate' not in said
+
+
+def test_what_does_the_same_is_said_by_its_titles():
+    said = notes.stands_for(
+        'direction_dependent_friction', 'y_linear', ['coulomb_friction', 'constant_force']
+    )
+    assert said.endswith(
+        'on Y-Linear: Coulomb friction and constant force together stand for it, too'
+    )
+    assert '_' not in said
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('ddp: y_rotate.force against its position', 'ddp: Y-Rotate force against its position'),
+        ('log: the model has no controller of y_linear, so', None),
+        (
+            'step_y_rotate.csv: both encoders of y_rotate',
+            'step_y_rotate.csv: both encoders of Y-Rotate',
+        ),
+    ],
+)
+def test_axes_are_said_by_their_titles_and_names_of_logs_stay(text, said):
+    assert notes.with_titles(text) == (said or text.replace('y_linear', 'Y-Linear'))
