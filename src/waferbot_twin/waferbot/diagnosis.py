@@ -21,13 +21,13 @@ from waferbot_twin.diagnosis.diagnose import FoundCause
 from waferbot_twin.diagnosis.diagnose import diagnose as diagnose_records
 from waferbot_twin.diagnosis.findings import no_findings
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.notes import with_titles
 from waferbot_twin.diagnosis.reference import reference_of
 from waferbot_twin.effects import find
 from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
+from waferbot_twin.titles import with_titles
 
 
 @dataclass(frozen=True)

@@ -26,18 +26,3 @@ def test_what_does_the_same_is_said_by_its_titles():
         'on Y-Linear: Coulomb friction and constant force together stand for it, too'
     )
     assert '_' not in said
-
-
-@pytest.mark.parametrize(
-    ('text', 'said'),
-    [
-        ('ddp: y_rotate.force against its position', 'ddp: Y-Rotate force against its position'),
-        ('log: the model has no controller of y_linear, so', None),
-        (
-            'step_y_rotate.csv: both encoders of y_rotate',
-            'step_y_rotate.csv: both encoders of Y-Rotate',
-        ),
-    ],
-)
-def test_axes_are_said_by_their_titles_and_names_of_logs_stay(text, said):
-    assert notes.with_titles(text) == (said or text.replace('y_linear', 'Y-Linear'))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.reference import reference_errors, reference_of, reference_rows
+from waferbot_twin.diagnosis.reference import reference_of, reference_remarks, reference_rows
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -57,7 +57,7 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
 
 def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
     reference = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum)
-    own, other = reference_errors(reference)
+    own, other, *_ = reference_remarks(reference)
     assert own.startswith('Y-Rotate in one: ')
     assert other.startswith('Y-Rotate in two (not used for the fit): ')
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
+from waferbot_twin.cli.print_diagnosis import print_diagnosis
 from waferbot_twin.diagnosis import forces, report
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
@@ -149,6 +151,45 @@ def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
     places = [text.find(words) for words in order]
     assert -1 not in places, dict(zip(order, places, strict=True))
     assert places == sorted(places)
+
+
+def test_readings_of_a_probability_are_defined_on_the_page(diagnosis, parsed):
+    said = 'beyond doubt from 0.95 on, likely from 0.8 on, perhaps below.'
+    assert said in ' '.join(' '.join(parsed.text).split()).replace(' ,', ',').replace(' .', '.')
+    only_possible = replace(diagnosis, causes=[])
+    assert 'from 0.95 on' in report.page(only_possible)
+
+
+def test_the_bar_is_as_long_as_the_share(page):
+    assert page.count('width: 75.0%') == 1
+
+
+def test_names_of_the_code_are_not_on_the_page(parsed):
+    text = ' '.join(parsed.text).replace('bodies.carriage', '')
+    for name in ('y_linear', 'x_rotate', 'coulomb_friction', ':x_', '_kg'):
+        assert name not in text
+
+
+def test_the_console_says_what_the_page_says(diagnosis, capsys):
+    print_diagnosis(diagnosis)
+    text = ' '.join(capsys.readouterr().out.split())
+    order = [
+        'Coulomb friction on X-Rotate (1.5 Nm,',
+        'likely, 0.90',
+        '1.4 to 1.6 Nm',
+        'may be instead: viscous friction, 300 mNm s/rad on X-Rotate (0.08)',
+        'possible, not named',
+        'small correction',
+        '40.5 to 41.5 kg',
+        'unexplained share of the error band',
+        'its speed',
+        'improvement',
+        'a note on',
+    ]
+    places = [text.find(words) for words in order]
+    assert -1 not in places, dict(zip(order, places, strict=True))
+    assert places == sorted(places)
+    assert 'y_linear' not in text
 
 
 def test_nothing_is_said_in_the_controllers_own_units(parsed):

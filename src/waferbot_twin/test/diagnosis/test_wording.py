@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -81,6 +82,14 @@ def test_says_what_where_how_large_and_how_sure(nominal):
         r'Coulomb friction on X-Rotate \(1\.5 Nm, \d+ % of rated torque\) explains 42 % of the error '
         r'there, likely \(probability 0\.87\)\.',
         told,
+    )
+
+
+def test_a_size_on_its_bound_or_not_told_is_not_said(nominal):
+    cause = found(nominal, friction())
+    told = replace(cause, intervals_95={'friction': (-2.0, 5.0)})
+    assert 'X-Rotate (its size is not told by these logs) explains' in sentence(
+        diagnosis(nominal, [told])
     )
 
 

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from waferbot_twin.cli.console import new_table, result_console
 from waferbot_twin.diagnosis.corrections import stated
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-from waferbot_twin.diagnosis.notes import with_titles
 from waferbot_twin.diagnosis.parameters import ParameterText, parameter_texts
 from waferbot_twin.diagnosis.report import correction_row, gain_with_force, unexplained_rows
 from waferbot_twin.diagnosis.wording import (
@@ -22,6 +21,7 @@ from waferbot_twin.diagnosis.wording import (
 )
 from waferbot_twin.plain_values import with_prefix
 from waferbot_twin.plot import TITLES
+from waferbot_twin.titles import with_titles
 
 
 def print_diagnosis(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from waferbot_twin.diagnosis.wording import title
@@ -43,14 +42,3 @@ def stands_for(name: str, axis: str, same_as: Sequence[str]) -> str:
     both = ' and '.join(find(one).title for one in same_as)
     verb = 'stands' if len(same_as) == 1 else 'together stand'
     return f'in this model {find(name).title} does the same on {TITLES[axis]}: {both} {verb} for it, too'
-
-
-def with_titles(text: str) -> str:
-    """
-    Return a text with axes as they are said: "Y-Linear" for `y_linear`, "Y-Linear force" for
-    `y_linear.force`.
-    """
-    for axis, said in TITLES.items():
-        text = re.sub(rf'\b{axis}\.(?=[a-z])', f'{said} ', text)
-        text = re.sub(rf'\b{axis}\b', said, text)
-    return text

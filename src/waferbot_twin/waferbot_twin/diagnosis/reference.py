@@ -24,7 +24,7 @@ from waferbot_twin.identification.least_squares import (
     Options,
     identify_by_least_squares,
 )
-from waferbot_twin.identification.least_squares_report import as_dict, label_of, unit_of
+from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.plain_values import significant
 from waferbot_twin.plot import TITLES
@@ -118,15 +118,16 @@ def _inertia(variant: Variant, fit: AxisFit, unit: str) -> str:
     return f'{significant(places.moving_inertia(own, fit.axis))} {unit}'
 
 
-def reference_errors(reference: LeastSquares) -> list[str]:
-    """Return, of each log and axis, how well the coefficients tell its force."""
-    return [
+def reference_remarks(reference: LeastSquares) -> list[str]:
+    """Return how well the coefficients tell the force of each log, and what to know of them."""
+    errors = [
         f'{TITLES[fit.axis]} in {one.log}{"" if one in fit.fitted else " (not used for the fit)"}: '
         f'{100.0 * one.relative:.3g} % of the force is left, RMS {significant(one.rms, 3)} '
         f'{fit.force_unit}'
         for fit in reference.fits
         for one in (*fit.fitted, *fit.validation)
     ]
+    return [*errors, *remarks(reference)]
 
 
 def reference_dict(reference: LeastSquares | None) -> dict[str, Any] | None:

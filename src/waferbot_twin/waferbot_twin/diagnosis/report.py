@@ -18,10 +18,9 @@ from waferbot_twin.diagnosis.corrections import StatedCorrection, stated
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.findings import AT_BOUND, NOT_TOLD, no_findings, on_bound, remark_of
 from waferbot_twin.diagnosis.forces import BINS, draw_forces
-from waferbot_twin.diagnosis.notes import with_titles
 from waferbot_twin.diagnosis.once import once
 from waferbot_twin.diagnosis.parameters import parameter_texts
-from waferbot_twin.diagnosis.reference import reference_dict, reference_errors, reference_rows
+from waferbot_twin.diagnosis.reference import reference_dict, reference_remarks, reference_rows
 from waferbot_twin.diagnosis.unnamed_force import gains_with_it
 from waferbot_twin.diagnosis.wording import (
     BLOCKS,
@@ -41,6 +40,7 @@ from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.plain_values import finite, significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.titles import with_titles
 from waferbot_twin.validation.gain_report import (
     HARDLY_PERCENT,
     draw_gains,
@@ -194,7 +194,7 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         reference=[]
         if reference is None
         else reference_rows(reference, nominal, diagnosis.extended),
-        reference_errors=[] if reference is None else reference_errors(reference),
+        reference_remarks=[] if reference is None else reference_remarks(reference),
         estimation=diagnosis.estimation,
         validation=diagnosis.validation,
         tried=diagnosis.tried,

@@ -82,7 +82,7 @@ def probability_text(probability: float) -> str:
 def percent_text(share: float) -> str:
     """Return a share of 0 to 1 in percent, whole where it is above 1 %."""
     if 0.0 < share < 0.01:
-        return 'below 1 %'
+        return 'less than 1 %'
     return f'{100.0 * share:.0f} %'
 
 
@@ -249,12 +249,18 @@ def _possible(possible: Sequence[FoundCause]) -> str:
 
 def _first(diagnosis: Diagnosis, first: FoundCause, with_size: bool) -> str:
     cause = first.cause
-    told = size(diagnosis.nominal, cause, no_findings(first)) if with_size else ''
+    told = size(diagnosis.nominal, cause, no_findings(first)) or _why_none(first)
+    told = told if with_size else ''
     what = f'{capital(title(cause))} ({told})' if told else capital(title(cause))
     return (
         f'{what} explains {percent_text(first.share)} of the error there, '
         f'{reading(first.probability)} (probability {probability_text(first.probability)})'
     )
+
+
+def _why_none(first: FoundCause) -> str:
+    """Return why a cause has no size to tell, nothing where it needs none."""
+    return 'its size is not told by these logs' if no_findings(first) else ''
 
 
 def _other(first: FoundCause) -> str:
