@@ -42,15 +42,16 @@ def draw_residuals(diagnosis: Diagnosis) -> Figure:
             first = channel.log.record is problem.records[0]
             if first and np.sqrt(np.mean(residuals[place] ** 2)) > ROUNDING:
                 shown.append((block, place, channel))
-    rows = max(1, -(-len(shown) // 2))
+    columns = 1 if len(shown) < 2 else 2
+    rows = max(1, -(-len(shown) // columns))
     figure, panels = plt.subplots(
-        rows, 2, figsize=(12.0, 1.2 + 1.7 * rows), squeeze=False, layout='constrained'
+        rows, columns, figsize=(12.0, 1.2 + 1.7 * rows), squeeze=False, layout='constrained'
     )
     for panel, (block, place, channel) in zip(panels.flat, shown, strict=False):
         _draw_residual(panel, diagnosis, block, place, channel)
     for panel in panels.flat[len(shown) :]:
         panel.set_axis_off()
-    for panel in panels.flat[max(0, len(shown) - 2) : len(shown)]:
+    for panel in panels.flat[max(0, len(shown) - columns) : len(shown)]:
         panel.set_xlabel('time [s]')
     if shown:
         panels[0][0].legend(fontsize=8, loc='upper right')
