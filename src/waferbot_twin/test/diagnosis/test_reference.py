@@ -49,6 +49,15 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
     assert float(rows['sine, 1 per turn']['value'].split()[0]) == pytest.approx(
         WEIGHT_NM, rel=0.01
     )
+    rubbing = apply_all(
+        pendulum, [Cause(find('coulomb_friction'), 'y_rotate', {'friction': FRICTION_NM})]
+    )
+    rows_of_it = reference_rows(reference, pendulum, rubbing)
+    forces = [row for row in rows_of_it if row['what'].startswith('constant-speed force')]
+    for row, way in zip(forces, (1.0, -1.0), strict=True):
+        assert float(row['value'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=0.1)
+        assert float(row['extended'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=1e-3)
+        assert float(row['nominal'].split()[0]) == pytest.approx(0.0, abs=1e-9)
     nominal, extended = (float(rows['inertia'][key].split()[0]) for key in ('nominal', 'extended'))
     assert nominal == pytest.approx(places.moving_inertia(pendulum, 'y_rotate'), rel=1e-3)
     assert extended == pytest.approx(nominal + 0.02, rel=1e-3)

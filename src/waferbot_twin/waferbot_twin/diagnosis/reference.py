@@ -9,13 +9,14 @@ Mass or inertia, viscous and Coulomb friction and offset of each axis, without l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.inverse_dynamics import InverseDynamics
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.least_squares import (
@@ -26,8 +27,10 @@ from waferbot_twin.identification.least_squares import (
 )
 from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
 from waferbot_twin.logs.measured import MeasuredLog
-from waferbot_twin.plain_values import significant
+from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.plot import TITLES
+
+UNTOLD = 'these logs do not tell it'
 
 
 def reference_of(
@@ -82,40 +85,94 @@ def reference_rows(
     reference: LeastSquares, nominal: Variant, extended: Variant
 ) -> list[dict[str, str]]:
     """
-    Return one row for each coefficient: axis, what, value and interval; of the inertia both models'.
+    Return one row for each coefficient and for the force at a constant speed: what, value, interval.
 
+    Of the inertia and of that force, which are the same whatever friction is made of, both models' too.
     What a motion does not tell says so.
     """
-    return [
-        _row(fit, place, nominal, extended)
-        for fit in reference.fits
-        for place in range(len(fit.estimate.names))
-    ]
+    rows = []
+    for fit in reference.fits:
+        models = [_of_model(variant, nominal, fit) for variant in (nominal, extended)]
+        for place, name in enumerate(fit.estimate.names):
+            inertias = [one.inertia for one in models] if name == 'inertia' else [None, None]
+            rows.append(_row(fit, place, inertias))
+        rows += [_at_speed(fit, way, [one.at_speed(way) for one in models]) for way in (1.0, -1.0)]
+    return rows
 
 
-def _row(fit: AxisFit, place: int, nominal: Variant, extended: Variant) -> dict[str, str]:
-    found, name = fit.estimate, fit.estimate.names[place]
-    unit = unit_of(name, fit)
-    value, interval = f'{significant(float(found.value[place]))} {unit}', ''
-    if found.determined[place]:
-        ends = (significant(float(end)) for end in (found.low95[place], found.high95[place]))
-        interval = f'{" to ".join(ends)} {unit}'
-    else:
-        value = 'these logs do not tell it'
-    known = name == 'inertia' and fit.force_unit == places.force_unit(nominal, fit.axis)
+@dataclass(frozen=True)
+class _OfModel:
+    """Inertia of an axis in a model, and its force at the speed at which it is asked, both ways."""
+
+    inertia: float | None = None
+    forwards: float | None = None
+    backwards: float | None = None
+
+    def at_speed(self, way: float) -> float | None:
+        return self.forwards if way > 0.0 else self.backwards
+
+
+def _of_model(variant: Variant, nominal: Variant, fit: AxisFit) -> _OfModel:
+    """
+    Return what a model makes of the axis at home, by inverse dynamics.
+
+    In forces that the nominal model's motor makes of the currents: it is these that were fitted.
+    """
+    if fit.force_unit != places.force_unit(nominal, fit.axis):
+        return _OfModel()
+    try:
+        dynamics = InverseDynamics(variant.description)
+    except UserError:
+        return _OfModel()
+    column = dynamics.axes.index(fit.axis)
+    motion = np.zeros((2, 4, len(dynamics.axes)))
+    motion[0, 1:3, column] = _speed_of(fit), -_speed_of(fit)
+    motion[1, 3, column] = 1.0
+    currents = dynamics.currents(np.zeros_like(motion[0]), motion[0], motion[1])[:, column]
+    rest, forwards, backwards, pushed = places.force_per_ampere(nominal, fit.axis) * currents
+    return _OfModel(float(pushed - rest), float(forwards), float(backwards))
+
+
+def _speed_of(fit: AxisFit) -> float:
+    """Return half of the highest speed of the logs, m/s or rad/s."""
+    return 0.5 * float(np.max(np.abs(fit.measured.centre)))
+
+
+def _at_speed(fit: AxisFit, way: float, models: Sequence[float | None]) -> dict[str, str]:
+    """Return the row of the force at a constant speed, forwards (1) or backwards (-1), at zero."""
+    found = dict(zip(fit.estimate.names, fit.estimate.value, strict=True))
+    speed = way * _speed_of(fit)
+    force = found['viscous'] * speed + way * found['coulomb'] + found['offset']
+    force += sum(value for name, value in found.items() if name.startswith('cosine'))
+    factor, unit = with_prefix(speed, f'{fit.length_unit}/s')
+    known = bool(fit.estimate.determined.all())
     return {
         'axis': TITLES[fit.axis],
-        'what': label_of(name, fit),
-        'value': value,
-        'interval': interval,
-        'nominal': _inertia(nominal, fit, unit) if known else '',
-        'extended': _inertia(extended, fit, unit) if known else '',
+        'what': f'constant-speed force, {significant(factor * speed, 2)} {unit}',
+        'value': _text(float(force), fit.force_unit) if known else UNTOLD,
+        'interval': '',
+        'nominal': _text(models[0], fit.force_unit),
+        'extended': _text(models[1], fit.force_unit),
     }
 
 
-def _inertia(variant: Variant, fit: AxisFit, unit: str) -> str:
-    own = replace(variant, origin=None)  # with all that was laid over it
-    return f'{significant(places.moving_inertia(own, fit.axis))} {unit}'
+def _row(fit: AxisFit, place: int, models: Sequence[float | None]) -> dict[str, str]:
+    found, name = fit.estimate, fit.estimate.names[place]
+    unit = unit_of(name, fit)
+    known = bool(found.determined[place])
+    low, high = (significant(float(end[place])) for end in (found.low95, found.high95))
+    return {
+        'axis': TITLES[fit.axis],
+        'what': label_of(name, fit),
+        'value': _text(float(found.value[place]), unit) if known else UNTOLD,
+        'interval': f'{low} to {high} {unit}' if known else '',
+        'nominal': _text(models[0], unit),
+        'extended': _text(models[1], unit),
+    }
+
+
+def _text(value: float | None, unit: str) -> str:
+    return '' if value is None else f'{significant(value)} {unit}'
 
 
 def reference_remarks(reference: LeastSquares) -> list[str]:
