@@ -12,6 +12,14 @@ from waferbot_twin.residuals.problem import Cause
 PULL = Cause(find('constant_force'), 'x_rotate', {'force': 1.0})
 
 
+def test_a_value_that_changed_is_said_in_words():
+    said = notes.not_what_it_was('time_constant of amplifier filter on X-Rotate', 'day 1', 4.21)
+    assert said.startswith(
+        'time constant of amplifier filter on X-Rotate is not what it was (day 1)'
+    )
+    assert '4.2 standard errors' in said
+
+
 @pytest.mark.parametrize('said', [notes.refuted(PULL), notes.worse_with(PULL)])
 def test_what_was_withdrawn_is_said_as_an_engineer_says_it(said):
     assert said.startswith('constant force on X-Rotate was withdrawn: ')

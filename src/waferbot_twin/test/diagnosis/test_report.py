@@ -146,7 +146,7 @@ def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
         'Error before and after',
         'What each part of the loop leaves over',
         'Withdrawn, and notes',
-        'a note on',
+        'A note on',
     ]
     places = [text.find(words) for words in order]
     assert -1 not in places, dict(zip(order, places, strict=True))
@@ -225,6 +225,10 @@ def test_json_has_what_the_page_says(diagnosis, tmp_path):
     assert [item['probability'] for item in cause['credible_set']] == [0.9, 0.08]
     assert content['corrections'][0]['found'] == 41.0
     assert load_model(str(tmp_path / 'extended.yaml')).name == 'extended'
+    first = (tmp_path / 'extended.yaml').read_text('utf-8').split('\n', 1)[0]
+    assert first.startswith(
+        '# The model rigid, extended by a diagnosis: Coulomb friction, 1.5 Nm, '
+    )
 
 
 def test_an_envelope_loses_no_peak():

@@ -42,3 +42,11 @@ def stands_for(name: str, axis: str, same_as: Sequence[str]) -> str:
     both = ' and '.join(find(one).title for one in same_as)
     verb = 'stands' if len(same_as) == 1 else 'together stand'
     return f'in this model {find(name).title} does the same on {TITLES[axis]}: {both} {verb} for it, too'
+
+
+def not_what_it_was(what: str, origin: str, apart: float) -> str:
+    """Say that a value is not that of earlier logs, `origin`; both are so many standard errors apart."""
+    return (
+        f'{what.replace("_", " ")} is not what it was ({origin}): these logs and those before differ by '
+        f'{apart:.1f} standard errors, so what was known is left out'
+    )

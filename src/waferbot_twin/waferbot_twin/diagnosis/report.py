@@ -156,7 +156,8 @@ def write(diagnosis: Diagnosis, folder: Path, reference: LeastSquares | None = N
 def extended_text(diagnosis: Diagnosis) -> str:
     """Return the extended model as the text of a file that nodes load; of a machine alone, its own."""
     every = [*diagnosis.causes, *diagnosis.possible]
-    names = ', '.join(found.cause.name for found in every) or 'no cause was found'
+    names = '; '.join(in_words(diagnosis.nominal, found.cause) for found in every)
+    names = names or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
     return header + diagnosis.extended.text
 
@@ -174,7 +175,7 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         style=Markup(STYLE),
         model=nominal.name,
         sentence=sentence(diagnosis),
-        notes=[with_titles(note) for note in diagnosis.notes],
+        notes=[_note(diagnosis, note) for note in diagnosis.notes],
         causes=[_row(nominal, found) for found in diagnosis.causes],
         possible=[_row(nominal, found) for found in diagnosis.possible],
         named_from=probability_text(diagnosis.settings.named_from),
@@ -200,6 +201,13 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         tried=diagnosis.tried,
         runtime=f'{diagnosis.runtime_s:.0f}',
     )
+
+
+def _note(diagnosis: Diagnosis, note: str) -> str:
+    """Return a note as a sentence; the name of a log that it begins with stays as it is."""
+    logs = (*diagnosis.estimation, *diagnosis.validation)
+    text = with_titles(note)
+    return text if any(note.startswith(f'{name}:') for name in logs) else capital(text)
 
 
 def _readings() -> list[tuple[str, str]]:
