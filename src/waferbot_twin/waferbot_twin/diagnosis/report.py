@@ -41,6 +41,7 @@ from waferbot_twin.plain_values import finite, significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.titles import with_titles
+from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.gain_report import (
     HARDLY_PERCENT,
     draw_gains,
@@ -50,20 +51,24 @@ from waferbot_twin.validation.gain_report import (
 
 SCHEMA = 2
 
-GAINS_WITH_FORCE = 'gains_with_unnamed_force'
-
 NO_INTERVAL = (math.nan, math.nan)
 """The ends of the interval of a parameter that has none: null in JSON."""
 
 
-def as_dict(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> dict[str, Any]:
+def as_dict(
+    diagnosis: Diagnosis, reference: LeastSquares | None = None, *, quick: bool = False
+) -> dict[str, Any]:
     """
     Return the diagnosis as plain values, as `report.json` has them (schema 2).
 
     Values are in the unit that stands beside them; shares and probabilities are 0 to 1. `reference` are
-    the least squares of the same logs, where somebody has them.
+    the least squares of the same logs, where somebody has them. `quick` leaves out what has to be
+    simulated for it: bands, and the gain with a force without a name.
     """
-    with_force = once(diagnosis, GAINS_WITH_FORCE, lambda: gains_with_it(diagnosis))
+    with_force: list[AxisGain] = []
+    bands: list[Band | None] = [None] * len(diagnosis.unexplained)
+    if not quick:
+        with_force, bands = _with_force(diagnosis), _bands(diagnosis)
     return {
         'schema': SCHEMA,
         'model': diagnosis.nominal.name,
@@ -83,7 +88,7 @@ def as_dict(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> dict
         ],
         'unexplained': [
             {**dataclasses.asdict(item), 'band_hz': band}
-            for item, band in zip(diagnosis.unexplained, _bands(diagnosis), strict=True)
+            for item, band in zip(diagnosis.unexplained, bands, strict=True)
         ],
         'residual_rms': diagnosis.residual_rms,
         'gain': {
@@ -98,6 +103,11 @@ def as_dict(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> dict
         'tried': diagnosis.tried,
         'runtime_s': diagnosis.runtime_s,
     }
+
+
+def _with_force(diagnosis: Diagnosis) -> list[AxisGain]:
+    """Return the gain with a force without a name."""
+    return once(diagnosis, 'gains_with_unnamed_force', lambda: gains_with_it(diagnosis))
 
 
 def _bands(diagnosis: Diagnosis) -> list[Band | None]:
@@ -233,12 +243,11 @@ def unexplained_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
 
 def gain_with_force(diagnosis: Diagnosis) -> list[str]:
     """Return, of each axis, what a force without a name gains beside what the extended model does."""
-    with_force = once(diagnosis, GAINS_WITH_FORCE, lambda: gains_with_it(diagnosis))
     without = gain_of_axes(diagnosis.gains)
     return [
         f'{TITLES[axis]}: {without[axis]["improvement_percent"]:.1f} % with the extended model, '
         f'{found["improvement_percent"]:.1f} % with the force without a name beside it'
-        for axis, found in gain_of_axes(with_force).items()
+        for axis, found in gain_of_axes(_with_force(diagnosis)).items()
         if axis in without
     ]
 
