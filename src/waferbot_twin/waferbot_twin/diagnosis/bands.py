@@ -77,6 +77,8 @@ def band_of(diagnosis: Diagnosis, item: Unexplained) -> Band | None:
             power = count * _above_noise(fit.whitened[place], fit.colours[place])
         frequencies.append(np.fft.rfftfreq(count, 1.0 / rate_hz)[1:])
         powers.append(power[1:])
+    if not powers:
+        return None
     return middle_band(np.concatenate(frequencies), np.concatenate(powers))
 
 
