@@ -19,11 +19,15 @@ from waferbot_twin.diagnosis import report, wording
 from waferbot_twin.diagnosis.diagnose import Diagnosis as Details
 from waferbot_twin.diagnosis.diagnose import FoundCause
 from waferbot_twin.diagnosis.diagnose import diagnose as diagnose_records
+from waferbot_twin.diagnosis.findings import no_findings
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.reference import reference_of
 from waferbot_twin.effects import find
+from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
+from waferbot_twin.titles import with_titles
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Diagnosis:
     verdict: str
     notes: tuple[str, ...]
     details: Details = field(repr=False)
+    reference: LeastSquares | None = field(default=None, repr=False)
+    """Inverse-dynamics least squares of the same logs; None where no axis can be fitted so."""
 
     @property
     def causes(self) -> pd.DataFrame:
@@ -65,7 +71,7 @@ class Diagnosis:
         rows = [
             {
                 'cause': found.cause.name,
-                'words': wording.in_words(self.model.variant, found.cause),
+                'words': wording.in_words(self.model.variant, found.cause, no_findings(found)),
                 'share': found.share,
                 'probability': found.probability,
                 'credible_set': {item.cause.name: item.probability for item in found.credible_set},
@@ -135,7 +141,7 @@ class Diagnosis:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values, as `report.json` has them."""
-        return finite(report.as_dict(self.details))
+        return finite(report.as_dict(self.details, self.reference))
 
     def save(self, folder: str | Path, force: bool = False) -> Path:
         """
@@ -145,7 +151,7 @@ class Diagnosis:
         """
         path = Path(folder)
         with OutputFolder(path, force) as output:
-            report.write(self.details, output.folder)
+            report.write(self.details, output.folder, self.reference)
         return path
 
 
@@ -211,8 +217,13 @@ def diagnose(
         Model(details.extended),
         wording.sentence(details),
         details.verdict,
-        tuple(details.notes),
+        tuple(with_titles(note) for note in details.notes),
         details,
+        reference_of(
+            [log.measured(model) for log in logs],
+            [log.measured(model) for log in validation],
+            details.nominal,
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.logs.bags import is_bag
 from waferbot_twin.logs.hold import evidence
 from waferbot_twin.logs.load import import_log as import_measured
+from waferbot_twin.logs.load import load_log
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.recording.reader import recording_files
 from waferbot_twin.residuals.load import load_record, load_records
@@ -35,6 +36,10 @@ class Log:
     def record(self, model: Model) -> Record:
         """Return the signals as the diagnosis takes them; raises `UserError` for unusable ones."""
         return load_record(self.path, model.variant)
+
+    def measured(self, model: Model) -> MeasuredLog:
+        """Return the signals at the times at which they were measured; raises `UserError`."""
+        return load_log(self.path, machine=model.variant.machine_text, name=self.name)
 
     def to_dataframe(self, model: Model) -> pd.DataFrame:
         """

@@ -260,7 +260,7 @@ def _run(case: Case, model: str, through_files: bool, line: dict[str, Any]) -> N
             found = _through_files(laid, model, without)
         else:
             diagnosis = diagnose(laid.nominal, laid.finding, laid.judging, _silent, 1, without)
-            found = json.loads(as_json(as_dict(diagnosis))), laid.finding, laid.judging
+            found = json.loads(as_json(as_dict(diagnosis, quick=True))), laid.finding, laid.judging
         return _compared(case, laid, *found)
 
     line |= judged(unknown)

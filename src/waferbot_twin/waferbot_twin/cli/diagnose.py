@@ -114,9 +114,9 @@ def execute(options: argparse.Namespace) -> int:
             library=options.library,
             machine=options.machine,
         )
-    kept = keep(output, lambda folder: write(result.details, folder))
+    kept = keep(output, lambda folder: write(result.details, folder, result.reference))
     if options.json:
-        print_json(as_dict(result.details))
+        print_json(as_dict(result.details, result.reference))
     else:
         print_diagnosis(result.details)
     return kept.tell('report: {}/report.html') or exit_code(result, options.fail_on)

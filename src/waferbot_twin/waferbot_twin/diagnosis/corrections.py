@@ -1,9 +1,36 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that every machine has a little different from its model: corrected, but no cause."""
+"""
+Parameters that every machine has a little different from its model: corrected, but no cause.
+
+A parameter p = p_0 + c x has the usual spread s of x as its prior, and cannot be further off than that
+of its bounds (`inference.nuisance`, equation (1)). Its interval ends there. The prior of all n together
+is Student's t: what the spreads of this machine are, as a multiple of the usual ones, follows from all
+of them,
+
+    k^2 = (nu + sum of (x / s)^2) / (nu + n),                                                     (1)
+
+nu of `residuals.prior_block`. Where logs tell nothing of a parameter, its standard error is that of the
+prior, k s.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.residuals.prior_block import KNOWN_FROM
+
+if TYPE_CHECKING:
+    from waferbot_twin.diagnosis.diagnose import Diagnosis
+
+TOLD_BELOW = 0.9
+"""Standard error over that of the prior below which logs tell a parameter: a fifth of what is known."""
+
+ON_BOUND = 1e-6
+"""Distance from a bound, over all that is possible, within which a value lies on it."""
 
 
 @dataclass(frozen=True)
@@ -23,3 +50,46 @@ class Correction:
     found: float
     low: float
     high: float
+
+
+@dataclass(frozen=True)
+class StatedCorrection:
+    """A correction as it is told: its interval within bounds, `told` by the logs, `on_bound`."""
+
+    correction: Correction
+    low: float
+    high: float
+    told: bool
+    on_bound: bool
+
+
+def stated(diagnosis: Diagnosis) -> list[StatedCorrection]:
+    """Return the corrections of a diagnosis with what is possible and what the logs tell of each."""
+    known = {
+        item.name: (item, cause.values[item.name])
+        for cause in diagnosis.after.causes
+        for item in cause.effect.parameters(diagnosis.problem.nominal, cause.axis)
+        if item.spread > 0.0
+    }
+    squares = sum((value / item.spread) ** 2 for item, value in known.values())
+    scale = math.sqrt((KNOWN_FROM + squares) / (KNOWN_FROM + len(known)))
+    return [
+        _stated(correction, *known[correction.path], scale)
+        if correction.path in known
+        else StatedCorrection(correction, correction.low, correction.high, True, False)
+        for correction in diagnosis.corrections
+    ]
+
+
+def _stated(correction: Correction, item: Parameter, x: float, scale: float) -> StatedCorrection:
+    """Return a correction whose x of (1) has a value; `scale` is the k of (1)."""
+    per_x = correction.nominal or 1.0
+    ends = sorted(correction.nominal + per_x * end for end in (item.low, item.high))
+    error = 0.5 * (correction.high - correction.low) / abs(NORMAL_95 * per_x)
+    return StatedCorrection(
+        correction,
+        min(max(correction.low, ends[0]), correction.found),
+        max(min(correction.high, ends[1]), correction.found),
+        abs(error) < TOLD_BELOW * scale * item.spread,
+        min(abs(x - item.low), abs(x - item.high)) <= ON_BOUND * (item.high - item.low),
+    )

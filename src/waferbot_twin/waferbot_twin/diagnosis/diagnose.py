@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
@@ -143,15 +144,10 @@ def diagnose(
     notes = []
     if not validation:
         estimation, validation = _divide(estimation)
-        notes.append(
-            'one log only: the gain is that in its last part, which was not used for the fit'
-        )
+        notes.append(said.ONE_LOG)
     records = [*estimation, *validation]
     if not all(record.is_imported or record.closes_loop for record in records):
-        notes.append(
-            'the controller was not looked at: that takes a recording with servo_state and '
-            'current_command, and a model that has a controller'
-        )
+        notes.append(said.NO_CONTROLLER)
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
@@ -181,19 +177,13 @@ def diagnose(
         judged.confirmed,
     )
     if extension.loses(settings.tolerated_loss):
-        notes.append(
-            'in closed loop the extended model is further from the validation data than the nominal '
-            'one, though they confirm each of its causes: something is missing that these depend on'
-        )
+        notes.append(said.LOSES)
     notes += [
-        f'{cause.name} was withdrawn: with values of the estimation data, the validation data refute it'
+        said.refuted(cause)
         for cause in judged.refuted
         if not is_discrepancy(cause) and not is_nuisance(cause)
     ]
-    notes += [
-        f'{cause.name} was withdrawn: the extended model is nearer to the validation data without it'
-        for cause in extension.withdrawn
-    ]
+    notes += [said.worse_with(cause) for cause in extension.withdrawn]
     withdrawn = [*judged.refuted, *extension.withdrawn]
     posterior = posterior.without(problem, [cause.name for cause in withdrawn])
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
@@ -294,8 +284,7 @@ def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
     """Say of the causes of each axis what else does exactly the same in this model."""
     names = {cause.name for cause in causes}
     return [
-        f'in this model {effect.name} does the same on {axis}: {" and ".join(effect.same_as)} '
-        f'{"stands" if len(effect.same_as) == 1 else "together stand"} for it, too'
+        said.stands_for(effect.name, axis, effect.same_as)
         for effect in library().values()
         for axis in effect.axes(variant)
         if effect.same_as

@@ -16,7 +16,9 @@ from dataclasses import replace
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.inference.nuisance import Number, is_nuisance
+from waferbot_twin.diagnosis.wording import title
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.known_values import Known, disagree, together, without_prior
@@ -57,11 +59,9 @@ def with_known(
         if before is None or variance <= 0.0:
             continue
         if disagree(before, float(values[row]), variance):
-            notes.append(
-                f'{path} is not what it was ({before.origin}): these logs and those before differ by '
-                f'{abs(before.value - values[row]) / np.sqrt(variance + before.error**2):.1f} standard '
-                'errors, so what was known is left out'
-            )
+            what = by_path[path].words if is_nuisance(cause) else f'{item.name} of {title(cause)}'
+            apart = abs(before.value - values[row]) / np.sqrt(variance + before.error**2)
+            notes.append(said.not_what_it_was(what, before.origin, float(apart)))
             continue
         places.append(row)
         taken.append(before)

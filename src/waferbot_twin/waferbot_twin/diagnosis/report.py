@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,26 +13,35 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from waferbot_twin.diagnosis import figures
-from waferbot_twin.diagnosis.corrections import Correction
+from waferbot_twin.diagnosis.bands import Band, band_of, band_text
+from waferbot_twin.diagnosis.corrections import StatedCorrection, stated
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
+from waferbot_twin.diagnosis.findings import AT_BOUND, NOT_TOLD, no_findings, on_bound, remark_of
+from waferbot_twin.diagnosis.forces import BINS, draw_forces
+from waferbot_twin.diagnosis.once import once
+from waferbot_twin.diagnosis.parameters import parameter_texts
+from waferbot_twin.diagnosis.reference import reference_dict, reference_remarks, reference_rows
+from waferbot_twin.diagnosis.unnamed_force import gains_with_it
 from waferbot_twin.diagnosis.wording import (
     BLOCKS,
+    READINGS,
     UserUnit,
     capital,
     in_words,
-    interval_text,
     percent_text,
     probability_text,
     reading,
     sentence,
     title,
-    user_unit,
 )
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.html_page import STYLE, picture, save_picture
+from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.plain_values import finite, significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.titles import with_titles
+from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.gain_report import (
     HARDLY_PERCENT,
     draw_gains,
@@ -47,12 +55,20 @@ NO_INTERVAL = (math.nan, math.nan)
 """The ends of the interval of a parameter that has none: null in JSON."""
 
 
-def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
+def as_dict(
+    diagnosis: Diagnosis, reference: LeastSquares | None = None, *, quick: bool = False
+) -> dict[str, Any]:
     """
     Return the diagnosis as plain values, as `report.json` has them (schema 2).
 
-    Values are in the unit that stands beside them; shares and probabilities are 0 to 1.
+    Values are in the unit that stands beside them; shares and probabilities are 0 to 1. `reference` are
+    the least squares of the same logs, where somebody has them. `quick` leaves out what has to be
+    simulated for it: bands, and the gain with a force without a name.
     """
+    with_force: list[AxisGain] = []
+    bands: list[Band | None] = [None] * len(diagnosis.unexplained)
+    if not quick:
+        with_force, bands = _with_force(diagnosis), _bands(diagnosis)
     return {
         'schema': SCHEMA,
         'model': diagnosis.nominal.name,
@@ -61,19 +77,44 @@ def as_dict(diagnosis: Diagnosis) -> dict[str, Any]:
         'causes': [_cause(diagnosis.nominal, found) for found in diagnosis.causes],
         'possible': [_cause(diagnosis.nominal, found) for found in diagnosis.possible],
         'withdrawn': [cause.name for cause in diagnosis.withdrawn],
-        'corrections': [dataclasses.asdict(item) for item in diagnosis.corrections],
-        'unexplained': [dataclasses.asdict(item) for item in diagnosis.unexplained],
+        'corrections': [
+            {
+                **dataclasses.asdict(item.correction),
+                'parameter': with_titles(item.correction.parameter),
+                'told': item.told,
+                'on_bound': item.on_bound,
+            }
+            for item in stated(diagnosis)
+        ],
+        'unexplained': [
+            {**dataclasses.asdict(item), 'band_hz': band}
+            for item, band in zip(diagnosis.unexplained, bands, strict=True)
+        ],
         'residual_rms': diagnosis.residual_rms,
         'gain': {
             'validation': diagnosis.validation,
             'axes': gain_of_axes(diagnosis.gains),
+            'with_unnamed_force': gain_of_axes(with_force),
         },
+        'least_squares': reference_dict(reference),
         'logs': {'estimation': diagnosis.estimation, 'validation': diagnosis.validation},
-        'notes': diagnosis.notes,
+        'notes': [with_titles(note) for note in diagnosis.notes],
         'settings': dataclasses.asdict(diagnosis.settings),
         'tried': diagnosis.tried,
         'runtime_s': diagnosis.runtime_s,
     }
+
+
+def _with_force(diagnosis: Diagnosis) -> list[AxisGain]:
+    """Return the gain with a force without a name."""
+    return once(diagnosis, 'gains_with_unnamed_force', lambda: gains_with_it(diagnosis))
+
+
+def _bands(diagnosis: Diagnosis) -> list[Band | None]:
+    """Return the band of each item that stays unexplained."""
+    return once(
+        diagnosis, 'bands', lambda: [band_of(diagnosis, item) for item in diagnosis.unexplained]
+    )
 
 
 def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
@@ -82,7 +123,7 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
         'axis': found.cause.axis,
         'block': found.cause.effect.block.value,
         'title': title(found.cause),
-        'words': in_words(nominal, found.cause),
+        'words': in_words(nominal, found.cause, no_findings(found)),
         'summary': found.cause.effect.summary,
         'parameters': {
             item.name: {
@@ -90,6 +131,8 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
                 'unit': item.unit,
                 'low95': found.intervals_95.get(item.name, NO_INTERVAL)[0],
                 'high95': found.intervals_95.get(item.name, NO_INTERVAL)[1],
+                'told': remark_of(found, item) != NOT_TOLD,
+                'on_bound': on_bound(found, item),
             }
             for item in found.parameters
         },
@@ -111,23 +154,25 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
     }
 
 
-def write(diagnosis: Diagnosis, folder: Path) -> None:
+def write(diagnosis: Diagnosis, folder: Path, reference: LeastSquares | None = None) -> None:
     """Write `report.json`, `report.html`, `gain.png` and `extended.yaml` into an existing folder."""
-    (folder / 'report.json').write_text(as_json(finite(as_dict(diagnosis))) + '\n', 'utf-8')
+    content = as_json(finite(as_dict(diagnosis, reference)))
+    (folder / 'report.json').write_text(content + '\n', 'utf-8')
     (folder / 'extended.yaml').write_text(extended_text(diagnosis), 'utf-8')
-    (folder / 'report.html').write_text(page(diagnosis), 'utf-8')
+    (folder / 'report.html').write_text(page(diagnosis, reference), 'utf-8')
     save_picture(draw_gains(diagnosis.gains), folder / 'gain.png')
 
 
 def extended_text(diagnosis: Diagnosis) -> str:
     """Return the extended model as the text of a file that nodes load; of a machine alone, its own."""
     every = [*diagnosis.causes, *diagnosis.possible]
-    names = ', '.join(found.cause.name for found in every) or 'no cause was found'
+    names = '; '.join(in_words(diagnosis.nominal, found.cause) for found in every)
+    names = names or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
     return header + diagnosis.extended.text
 
 
-def page(diagnosis: Diagnosis) -> str:
+def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
     """Return the report as one HTML page with its pictures inside."""
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
@@ -135,40 +180,76 @@ def page(diagnosis: Diagnosis) -> str:
     template = environment.from_string(
         files('waferbot_twin.diagnosis').joinpath('report.html').read_text('utf-8')
     )
-    nominal, forces = diagnosis.nominal, figures.draw_forces(diagnosis)
+    nominal, forces = diagnosis.nominal, draw_forces(diagnosis)
     return template.render(
         style=Markup(STYLE),
         model=nominal.name,
         sentence=sentence(diagnosis),
-        notes=[capital(note) for note in diagnosis.notes],
+        notes=[_note(diagnosis, note) for note in diagnosis.notes],
         causes=[_row(nominal, found) for found in diagnosis.causes],
         possible=[_row(nominal, found) for found in diagnosis.possible],
         named_from=probability_text(diagnosis.settings.named_from),
         credible=percent_text(diagnosis.settings.credible_level),
-        corrections=[_correction_row(item) for item in diagnosis.corrections],
-        unexplained=[
-            {
-                'axis': TITLES[item.axis],
-                'share': percent_text(item.share),
-                'width': _width(item.share),
-                'block': BLOCKS[item.block],
-                'with_what': item.with_what,
-            }
-            for item in diagnosis.unexplained
-        ],
+        readings=_readings(),
+        corrections=[correction_row(item) for item in stated(diagnosis)],
+        unexplained=unexplained_rows(diagnosis),
+        force_picture=Markup(picture(forces)) if forces is not None else '',
+        bins=BINS,
         validation_words=_validation_words(diagnosis),
         # Made by us, of escaped text and numbers.
         gain_picture=Markup(picture(draw_gains(diagnosis.gains))),
         gain_table=Markup(gain_table(diagnosis.gains)),
+        gain_with_force=gain_with_force(diagnosis),
         first_log=diagnosis.problem.records[0].name,
         residual_picture=Markup(picture(figures.draw_residuals(diagnosis))),
-        force_picture=Markup(picture(forces)) if forces is not None else '',
-        bins=figures.BINS,
+        reference=[]
+        if reference is None
+        else reference_rows(reference, nominal, diagnosis.extended),
+        reference_remarks=[] if reference is None else reference_remarks(reference),
         estimation=diagnosis.estimation,
         validation=diagnosis.validation,
         tried=diagnosis.tried,
         runtime=f'{diagnosis.runtime_s:.0f}',
     )
+
+
+def _note(diagnosis: Diagnosis, note: str) -> str:
+    """Return a note as a sentence; the name of a log that it begins with stays as it is."""
+    logs = (*diagnosis.estimation, *diagnosis.validation)
+    text = with_titles(note)
+    return text if any(note.startswith(f'{name}:') for name in logs) else capital(text)
+
+
+def _readings() -> list[tuple[str, str]]:
+    """Return what a probability reads as, and from where on."""
+    lowest = READINGS[-1][1]
+    return [(words, f'from {least:g} on') for least, words in READINGS[:-1]] + [(lowest, 'below')]
+
+
+def unexplained_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
+    """Return what stays unexplained: axis, share, band, where it shows and what it goes with."""
+    return [
+        {
+            'axis': TITLES[item.axis],
+            'share': percent_text(item.share),
+            'width': _width(item.share),
+            'band': band_text(band),
+            'block': BLOCKS[item.block],
+            'with_what': item.with_what,
+        }
+        for item, band in zip(diagnosis.unexplained, _bands(diagnosis), strict=True)
+    ]
+
+
+def gain_with_force(diagnosis: Diagnosis) -> list[str]:
+    """Return, of each axis, what a force without a name gains beside what the extended model does."""
+    without = gain_of_axes(diagnosis.gains)
+    return [
+        f'{TITLES[axis]}: {without[axis]["improvement_percent"]:.1f} % with the extended model, '
+        f'{found["improvement_percent"]:.1f} % with the force without a name beside it'
+        for axis, found in gain_of_axes(_with_force(diagnosis)).items()
+        if axis in without
+    ]
 
 
 def _width(share: float) -> str:
@@ -180,11 +261,11 @@ def _row(nominal: Variant, found: FoundCause) -> dict[str, Any]:
     return {
         'share': percent_text(found.share),
         'width': _width(found.share),
-        'words': capital(in_words(nominal, found.cause)),
+        'words': capital(in_words(nominal, found.cause, no_findings(found))),
         'summary': found.cause.effect.summary,
         'reading': reading(found.probability),
         'probability': probability_text(found.probability),
-        'parameters': list(_parameter_rows(nominal, found)),
+        'parameters': parameter_texts(nominal, found),
         'alternatives': [
             {
                 'words': in_words(nominal, item.cause),
@@ -195,34 +276,22 @@ def _row(nominal: Variant, found: FoundCause) -> dict[str, Any]:
     }
 
 
-def _parameter_rows(nominal: Variant, found: FoundCause) -> Iterator[dict[str, str]]:
-    for label, value, interval in parameter_texts(nominal, found):
-        yield {'label': label, 'value': value, 'interval': interval}
-
-
-def parameter_texts(nominal: Variant, found: FoundCause) -> list[tuple[str, str, str]]:
-    """Return name, value and 95 % interval of every parameter of a cause, in the user's units."""
-    rows = []
-    for item in found.parameters:
-        value = found.cause.values[item.name]
-        shown = user_unit(nominal, found.cause.axis, item, value)
-        label = 'difference from the model' if item.name == 'ratio' else item.name
-        if item.name == 'difference':  # of an I-variable
-            label = f'{item.meaning.split()[0]}, more than in the model'
-        interval = interval_text(found, item, shown)
-        rows.append((label.replace('_', ' '), shown.text(value, 4), interval))
-    return rows
-
-
-def _correction_row(item: Correction) -> dict[str, str]:
-    factor, unit = with_prefix(max(abs(item.nominal), abs(item.found)), item.unit)
+def correction_row(item: StatedCorrection) -> dict[str, str]:
+    """Return a correction in words: what, nominal, found, interval or that the logs do not tell it."""
+    own = item.correction
+    factor, unit = with_prefix(max(abs(own.nominal), abs(own.found)), own.unit)
     shown = UserUnit(factor, unit)
     low, high = significant(shown.of(item.low)), significant(shown.of(item.high))
+    interval = f'{low} to {high} {unit}'.rstrip()
+    if item.on_bound:
+        interval = f'{interval}; {AT_BOUND}'
+    elif not item.told:
+        interval = f'{NOT_TOLD}; usual are {interval}'
     return {
-        'parameter': item.parameter,
-        'nominal': shown.text(item.nominal, 4),
-        'found': shown.text(item.found, 4),
-        'interval': f'{low} to {high} {unit}'.rstrip(),
+        'parameter': with_titles(own.parameter),
+        'nominal': shown.text(own.nominal, 4),
+        'found': shown.text(own.found, 4),
+        'interval': interval,
     }
 
 
@@ -231,7 +300,7 @@ def _validation_words(diagnosis: Diagnosis) -> str:
     best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
     if best is None:
         return 'The validation data have no axis whose position is known.'
-    how = 'closed loop' if best.closed_loop else 'plant, driven by the measured currents'
+    how = 'closed loop' if best.closed_loop else 'plant, driven by what the drive gave'
     said = (
         'For this the causes were fitted to the estimation data alone; their values above are those of '
         f'all logs. Error is simulated less measured position ({how}); '

@@ -14,12 +14,12 @@ cosine and a sine become one amplitude. The probability is said as it is; what i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from waferbot_lockstep.timing import Timing
-from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-from waferbot_twin.diagnosis.inference.unexplained import Unexplained
+from waferbot_twin.diagnosis.findings import no_findings
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
@@ -27,6 +27,10 @@ from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.problem import Cause
+
+if TYPE_CHECKING:
+    from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
+    from waferbot_twin.diagnosis.inference.unexplained import Unexplained
 
 READINGS = ((0.95, 'beyond doubt'), (0.8, 'likely'), (0.0, 'perhaps'))
 """How a probability reads, from which one on."""
@@ -78,7 +82,7 @@ def probability_text(probability: float) -> str:
 def percent_text(share: float) -> str:
     """Return a share of 0 to 1 in percent, whole where it is above 1 %."""
     if 0.0 < share < 0.01:
-        return 'below 1 %'
+        return 'less than 1 %'
     return f'{100.0 * share:.0f} %'
 
 
@@ -126,14 +130,21 @@ def title(cause: Cause) -> str:
     return f'{cause.effect.title} on {TITLES[cause.axis]}'
 
 
-def size(variant: Variant, cause: Cause) -> str:
-    """Return how large a cause is, with units; empty where a number would say nothing."""
-    items = [item for item in cause.effect.parameters(variant, cause.axis) if not item.shape]
+def size(variant: Variant, cause: Cause, without: Collection[str] = ()) -> str:
+    """
+    Return how large a cause is, with units; empty where a number would say nothing.
+
+    Parameters `without` which it is said are those that are no finding (`parameters.no_findings`).
+    """
+    sizes = [item for item in cause.effect.parameters(variant, cause.axis) if not item.shape]
+    items = [item for item in sizes if item.name not in without]
+    if not items:
+        return ''
     amplitudes = _amplitudes(cause, items)
     if amplitudes:
         largest = max(amplitudes)
         return f'amplitude {user_unit(variant, cause.axis, items[0], largest).text(largest)}'
-    if len(items) == 1:
+    if len(sizes) == 1:
         return _single(variant, cause, items[0])
     return ', '.join(
         f'{user_unit(variant, cause.axis, item, cause.values[item.name]).text(cause.values[item.name])} '
@@ -187,9 +198,9 @@ def rated_word(unit: str) -> str:
     return 'torque' if unit == 'Nm' else 'force'
 
 
-def in_words(variant: Variant, cause: Cause) -> str:
-    """Return a cause with its size on the axis."""
-    told = size(variant, cause)
+def in_words(variant: Variant, cause: Cause, without: Collection[str] = ()) -> str:
+    """Return a cause with its size on the axis; what it is said `without` is no finding."""
+    told = size(variant, cause, without)
     return f'{cause.effect.title}, {told} on {TITLES[cause.axis]}' if told else title(cause)
 
 
@@ -238,12 +249,18 @@ def _possible(possible: Sequence[FoundCause]) -> str:
 
 def _first(diagnosis: Diagnosis, first: FoundCause, with_size: bool) -> str:
     cause = first.cause
-    told = size(diagnosis.nominal, cause) if with_size else ''
+    told = size(diagnosis.nominal, cause, no_findings(first)) or _why_none(first)
+    told = told if with_size else ''
     what = f'{capital(title(cause))} ({told})' if told else capital(title(cause))
     return (
         f'{what} explains {percent_text(first.share)} of the error there, '
         f'{reading(first.probability)} (probability {probability_text(first.probability)})'
     )
+
+
+def _why_none(first: FoundCause) -> str:
+    """Return why a cause has no size to tell, nothing where it needs none."""
+    return 'its size is not told by these logs' if no_findings(first) else ''
 
 
 def _other(first: FoundCause) -> str:
@@ -264,9 +281,20 @@ def _left_over(unexplained: Sequence[Unexplained]) -> str:
     return f'something on {" and ".join(axes)} stays unexplained'
 
 
-def interval_text(found: FoundCause, item: Parameter, shown: UserUnit) -> str:
-    """Return the 95 % interval of a parameter as it is shown; how it came about where it has none."""
-    if item.name not in found.intervals_95:
-        return 'chosen from a few' if item.name in found.cause.held else 'not known'
-    low, high = sorted(shown.of(end) for end in found.intervals_95[item.name])
+def interval_text(
+    found: FoundCause, item: Parameter, shown: UserUnit, ends: tuple[float, float] | None
+) -> str:
+    """Return an interval of a parameter as it is shown; how the value came about where it has none."""
+    if ends is None:
+        return 'chosen from a few' if item.name in found.cause.held else 'interval not known'
+    low, high = sorted(shown.of(end) for end in ends)
     return f'{significant(low)} to {significant(high)} {shown.unit}'.rstrip()
+
+
+def way_text(way: float, unit: str) -> str:
+    """Return a way along an axis: in mm (µm below 0.1 mm), or in turns with how often that is a turn."""
+    if unit == 'm':
+        return f'{significant(1e6 * way)} µm' if way < 1e-4 else f'{significant(1e3 * way)} mm'
+    turns = way / (2.0 * math.pi)
+    text = f'{significant(turns)} turn{"" if math.isclose(turns, 1.0) else "s"}'
+    return text if turns >= 0.999 else f'{text} ({significant(1.0 / turns)} a turn)'

@@ -46,6 +46,9 @@ from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
 from waferbot_twin.residuals.from_measured_log import amperes_per_unit, drive_of
 
+IN_WORDS = {'viscous': 'viscous friction', 'coulomb': 'Coulomb friction', 'inertia': 'inertia'}
+"""Coefficients as a reader knows them."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -302,7 +305,7 @@ def _left_over(
 def _doubts(coefficients: Estimate) -> list[str]:
     """Return what the reader of the values must know."""
     left_open = [
-        name
+        IN_WORDS.get(name, name)
         for name, known in zip(coefficients.names, coefficients.determined, strict=True)
         if not known
     ]
@@ -317,7 +320,7 @@ def _doubts(coefficients: Estimate) -> list[str]:
             place = coefficients.names.index(name)
             if coefficients.high95[place] < 0.0:
                 notes.append(
-                    f'{name} is negative, which it cannot be: the model lacks something, or the sign of '
-                    'the drive is wrong'
+                    f'{IN_WORDS[name]} is negative, which it cannot be: the model lacks something, '
+                    'or the sign of the drive is wrong'
                 )
     return notes

@@ -21,7 +21,9 @@ from waferbot_twin.estimation.residual_curves import BinnedMeans
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.least_squares import AxisFit, LeastSquares, LogError
 from waferbot_twin.plain_values import finite, significant
+from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.titles import with_titles
 
 SCHEMA = 1
 MEASURED, FITTED, LEVEL = '#1f5fa8', '#b5401f', '#999999'
@@ -147,15 +149,15 @@ def table_rows(result: LeastSquares) -> list[tuple[str, ...]]:
             value, low, high = values
             if not item['determined']:
                 value = 'left open'
-            rows.append((axis, item['name'], value, low, high, item['unit']))
+            rows.append((TITLES[axis], item['name'], value, low, high, item['unit']))
     return rows
 
 
 def errors_in_words(result: LeastSquares) -> list[str]:
     """Return, of each log and axis, how well the coefficients tell its force."""
     return [
-        f'{fit.axis}, {one.log}{"" if one in fit.fitted else " (validation)"}: relative force error '
-        f'{100.0 * one.relative:.2f} %, RMS {significant(one.rms, 3)} {fit.force_unit}'
+        f'{TITLES[fit.axis]}, {one.log}{"" if one in fit.fitted else " (validation)"}: relative force '
+        f'error {100.0 * one.relative:.2f} %, RMS {significant(one.rms, 3)} {fit.force_unit}'
         for fit in result.fits
         for one in (*fit.fitted, *fit.validation)
     ]
@@ -165,10 +167,10 @@ def remarks(result: LeastSquares) -> list[str]:
     """Return how the filter stood, what stands out over position, and the notes."""
     said = []
     for fit in result.fits:
-        said.append(f'{fit.axis}: filter {fit.cut_off_hz:.3g} Hz, 4th order, both ways')
+        said.append(f'{TITLES[fit.axis]}: filter {fit.cut_off_hz:.3g} Hz, 4th order, both ways')
         if fit.terms.rise_speed is not None:
             said.append(
-                f'{fit.axis}: what differs at rest fades with exp(-|speed| / '
+                f'{TITLES[fit.axis]}: what differs at rest fades with exp(-|speed| / '
                 f'{significant(fit.terms.rise_speed, 3)} {fit.length_unit}/s)'
             )
         lines = _lines(fit)[:MOST_NAMED]
@@ -178,12 +180,12 @@ def remarks(result: LeastSquares) -> list[str]:
                 + (
                     f'every {one["period_mm"]:.4g} mm'
                     if 'period_mm' in one
-                    else f'{one["per_turn"]:.4g} per turn'
+                    else f'{one["per_turn"]:.4g} a turn'
                 )
                 for one in lines
             )
-            said.append(f'{fit.axis}: left over with position: {", ".join(texts)}')
-        said += [f'{fit.axis}: {note}' for note in fit.notes]
+            said.append(f'{TITLES[fit.axis]}: left over with position: {", ".join(texts)}')
+        said += [with_titles(f'{fit.axis}: {note}') for note in fit.notes]
     return said
 
 
@@ -208,7 +210,7 @@ def page(result: LeastSquares) -> str:
         *(f'<p>{html.escape(line)}.</p>' for line in remarks(result)),
     ]
     for fit in result.fits:
-        body += [f'<h2>{html.escape(fit.axis)}: what is left over</h2>', picture(draw(fit))]
+        body += [f'<h2>{TITLES[fit.axis]}: what is left over</h2>', picture(draw(fit))]
     body.append(
         '<p>Bars are 95 % intervals from the scatter of passes. A line in the spectrum stands at one '
         'period of the position whatever the speed: cogging, a screw, teeth, an eccentric encoder.</p>'

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.diagnosis import figures, report
+from waferbot_twin.cli.print_diagnosis import print_diagnosis
+from waferbot_twin.diagnosis import forces, report
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -140,13 +142,54 @@ def test_what_was_found_comes_before_what_is_left_and_the_pictures(parsed):
         '40.5 to 41.5 kg',
         'What stays unexplained',
         'its speed',
+        'Residual force over speed and position',
         'Error before and after',
         'What each part of the loop leaves over',
-        'Residual force over speed and position',
+        'Withdrawn, and notes',
+        'A note on',
     ]
     places = [text.find(words) for words in order]
     assert -1 not in places, dict(zip(order, places, strict=True))
     assert places == sorted(places)
+
+
+def test_readings_of_a_probability_are_defined_on_the_page(diagnosis, parsed):
+    said = 'beyond doubt from 0.95 on, likely from 0.8 on, perhaps below.'
+    assert said in ' '.join(' '.join(parsed.text).split()).replace(' ,', ',').replace(' .', '.')
+    only_possible = replace(diagnosis, causes=[])
+    assert 'from 0.95 on' in report.page(only_possible)
+
+
+def test_the_bar_is_as_long_as_the_share(page):
+    assert page.count('width: 75.0%') == 1
+
+
+def test_names_of_the_code_are_not_on_the_page(parsed):
+    text = ' '.join(parsed.text).replace('bodies.carriage', '')
+    for name in ('y_linear', 'x_rotate', 'coulomb_friction', ':x_', '_kg'):
+        assert name not in text
+
+
+def test_the_console_says_what_the_page_says(diagnosis, capsys):
+    print_diagnosis(diagnosis)
+    text = ' '.join(capsys.readouterr().out.split())
+    order = [
+        'Coulomb friction on X-Rotate (1.5 Nm,',
+        'likely, 0.90',
+        '1.4 to 1.6 Nm',
+        'may be instead: viscous friction, 300 mNm s/rad on X-Rotate (0.08)',
+        'possible, not named',
+        'small correction',
+        '40.5 to 41.5 kg',
+        'unexplained share of the error band',
+        'its speed',
+        'improvement',
+        'a note on',
+    ]
+    places = [text.find(words) for words in order]
+    assert -1 not in places, dict(zip(order, places, strict=True))
+    assert places == sorted(places)
+    assert 'y_linear' not in text
 
 
 def test_nothing_is_said_in_the_controllers_own_units(parsed):
@@ -156,14 +199,16 @@ def test_nothing_is_said_in_the_controllers_own_units(parsed):
 
 
 def test_residual_force_over_speed_is_the_friction(diagnosis):
-    forces = figures.residual_forces(diagnosis.problem, diagnosis.before, 'x_rotate')
-    speed = forces[0]
-    fast = np.abs(speed.at) > 0.3 * np.abs(speed.at).max()
+    speed, _ = forces.residual_forces(diagnosis.problem, diagnosis.before, 'x_rotate')
+    fast = np.abs(speed.centre) > 0.3 * np.abs(speed.centre).max()
     # 8 %: the inertia is that at home, and the observer needs some ms after each reversal.
     np.testing.assert_allclose(
-        speed.mean[fast], -FRICTION_NM * np.sign(speed.at[fast]), rtol=0.0, atol=0.08 * FRICTION_NM
+        speed.mean[fast],
+        -FRICTION_NM * np.sign(speed.centre[fast]),
+        rtol=0.0,
+        atol=0.08 * FRICTION_NM,
     )
-    after = figures.residual_forces(diagnosis.problem, diagnosis.after, 'x_rotate')[0]
+    after, _ = forces.residual_forces(diagnosis.problem, diagnosis.after, 'x_rotate')
     assert np.abs(after.mean).max() < 0.05 * FRICTION_NM
 
 
@@ -174,11 +219,16 @@ def test_json_has_what_the_page_says(diagnosis, tmp_path):
     cause = content['causes'][0]
     assert cause['parameters']['friction'] == {
         'value': FRICTION_NM, 'unit': 'Nm', 'low95': 1.4, 'high95': 1.6,
+        'told': True, 'on_bound': False,
     }  # fmt: skip
     assert cause['reading'] == 'likely'
     assert [item['probability'] for item in cause['credible_set']] == [0.9, 0.08]
     assert content['corrections'][0]['found'] == 41.0
     assert load_model(str(tmp_path / 'extended.yaml')).name == 'extended'
+    first = (tmp_path / 'extended.yaml').read_text('utf-8').split('\n', 1)[0]
+    assert first.startswith(
+        '# The model rigid, extended by a diagnosis: Coulomb friction, 1.5 Nm, '
+    )
 
 
 def test_an_envelope_loses_no_peak():

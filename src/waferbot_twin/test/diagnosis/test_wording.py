@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
 from waferbot_twin.diagnosis.diagnose import Alternative, FoundCause
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
-from waferbot_twin.diagnosis.report import parameter_texts
+from waferbot_twin.diagnosis.parameters import parameter_texts
 from waferbot_twin.diagnosis.wording import LONGEST_SENTENCE, in_words, sentence, size
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
@@ -84,6 +85,14 @@ def test_says_what_where_how_large_and_how_sure(nominal):
     )
 
 
+def test_a_size_on_its_bound_or_not_told_is_not_said(nominal):
+    cause = found(nominal, friction())
+    told = replace(cause, intervals_95={'friction': (-2.0, 5.0)})
+    assert 'X-Rotate (its size is not told by these logs) explains' in sentence(
+        diagnosis(nominal, [told])
+    )
+
+
 @pytest.mark.parametrize(
     ('probability', 'said'),
     [
@@ -117,7 +126,7 @@ def test_without_causes_the_model_explains_the_logs_or_nothing_does(nominal):
 def test_no_unit_is_one_of_the_controllers_own(nominal, every_cause):
     for cause in every_cause:
         rows = parameter_texts(nominal, found(nominal, cause))
-        told = ' '.join([size(nominal, cause), *(value for _, value, _ in rows)])
+        told = ' '.join([size(nominal, cause), *(f'{row.value} {row.interval}' for row in rows)])
         assert not re.search(r'\b(counts?|cycles|bits|interrupts)\b', told), told
 
 

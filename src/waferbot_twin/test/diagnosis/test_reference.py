@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares beside a diagnosis: right on a pendulum of known inertia and weight."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from waferbot_twin.diagnosis.reference import reference_of, reference_remarks, reference_rows
+from waferbot_twin.effects import find, places
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.models import load_model, load_model_or_machine
+from waferbot_twin.residuals.problem import Cause, apply_all
+
+INERTIA, WEIGHT_NM, FRICTION_NM = 0.2, 3.3, 0.3
+
+
+@pytest.fixture(scope='module')
+def pendulum():
+    return Variant.of(load_model_or_machine('geared_pendulum'))
+
+
+def log(name, phase):
+    """Return a log of a pendulum that swings in two sines, by its equation of motion."""
+    time_s = np.arange(0.0, 10.0, 1e-3)
+    wave, size = np.array([2.0, 5.3]), np.array([0.8, 0.3])
+    angles = np.outer(time_s, wave) + phase
+    position, speed = np.sin(angles) @ size, np.cos(angles) @ (size * wave)
+    acceleration = -np.sin(angles) @ (size * wave**2)
+    torque = INERTIA * acceleration + WEIGHT_NM * np.sin(position) + FRICTION_NM * np.sign(speed)
+    return MeasuredLog(
+        name,
+        (
+            Signal('position', 'y_rotate', 'rad', time_s, position, 1e-6),
+            Signal('force', 'y_rotate', 'Nm', time_s, torque),
+        ),
+    )
+
+
+def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
+    reference = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum)
+    heavier = apply_all(pendulum, [Cause(find('wrong_inertia'), 'y_rotate', {'inertia': 0.02})])
+    rows = {row['what']: row for row in reference_rows(reference, pendulum, heavier)}
+    assert float(rows['inertia']['value'].split()[0]) == pytest.approx(INERTIA, rel=0.01)
+    assert float(rows['Coulomb friction']['value'].split()[0]) == pytest.approx(
+        FRICTION_NM, rel=0.05
+    )
+    assert float(rows['sine, 1 per turn']['value'].split()[0]) == pytest.approx(
+        WEIGHT_NM, rel=0.01
+    )
+    rubbing = apply_all(
+        pendulum, [Cause(find('coulomb_friction'), 'y_rotate', {'friction': FRICTION_NM})]
+    )
+    rows_of_it = reference_rows(reference, pendulum, rubbing)
+    forces = [row for row in rows_of_it if row['what'].startswith('constant-speed force')]
+    for row, way in zip(forces, (1.0, -1.0), strict=True):
+        assert float(row['value'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=0.1)
+        assert float(row['extended'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=1e-3)
+        assert float(row['nominal'].split()[0]) == pytest.approx(0.0, abs=1e-9)
+    nominal, extended = (float(rows['inertia'][key].split()[0]) for key in ('nominal', 'extended'))
+    assert nominal == pytest.approx(places.moving_inertia(pendulum, 'y_rotate'), rel=1e-3)
+    assert extended == pytest.approx(nominal + 0.02, rel=1e-3)
+    assert all(row['axis'] == 'Y-Rotate' for row in rows.values())
+
+
+def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
+    reference = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum)
+    own, other, *_ = reference_remarks(reference)
+    assert own.startswith('Y-Rotate in one: ')
+    assert other.startswith('Y-Rotate in two (not used for the fit): ')
+
+
+def test_an_axis_about_the_vertical_and_a_slide_need_no_sine():
+    rigid = Variant.of(load_model('rigid'))
+    time_s = np.arange(0.0, 10.0, 1e-3)
+    wave, size = np.array([2.0, 5.3]), np.array([0.1, 0.03])
+    angles = np.outer(time_s, wave)
+    slide = MeasuredLog(
+        'slide',
+        (
+            Signal('position', 'y_linear', 'm', time_s, np.sin(angles) @ size, 1e-7),
+            Signal('force', 'y_linear', 'N', time_s, -50.0 * np.sin(angles) @ (size * wave**2)),
+        ),
+    )
+    reference = reference_of([slide], [], rigid)
+    assert not any(
+        row['what'].startswith('sine') for row in reference_rows(reference, rigid, rigid)
+    )
+
+
+def test_where_nothing_can_be_fitted_there_is_no_reference(pendulum):
+    assert reference_of([MeasuredLog('empty', ())], [], pendulum) is None

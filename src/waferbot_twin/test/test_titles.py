@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Axes are said by their titles; names of logs stay."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_twin.titles import with_titles
+
+
+@pytest.mark.parametrize(
+    ('text', 'said'),
+    [
+        ('ddp: y_rotate.force against its position', 'ddp: Y-Rotate force against its position'),
+        ('log: the model has no controller of y_linear, so', None),
+        (
+            'step_y_rotate.csv: both encoders of y_rotate',
+            'step_y_rotate.csv: both encoders of Y-Rotate',
+        ),
+    ],
+)
+def test_axes_are_said_by_their_titles_and_names_of_logs_stay(text, said):
+    assert with_titles(text) == (said or text.replace('y_linear', 'Y-Linear'))

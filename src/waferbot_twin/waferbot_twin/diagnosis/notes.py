@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the reader of a diagnosis must know beside its causes, one sentence each, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from waferbot_twin.diagnosis.wording import title
+from waferbot_twin.effects import find
+from waferbot_twin.plot import TITLES
+from waferbot_twin.residuals.problem import Cause
+
+ONE_LOG = 'one log only: the gain is that in its last part, which was not used for the fit'
+
+NO_CONTROLLER = (
+    'the controller was not looked at: that takes a recording with servo_state and '
+    'current_command, and a model that has a controller'
+)
+
+LOSES = (
+    'in closed loop the extended model is further from the validation data than the nominal '
+    'one, though they confirm each of its causes: something is missing that these depend on'
+)
+
+
+def refuted(cause: Cause) -> str:
+    """Say that the validation data refute a cause, each block alone."""
+    return (
+        f'{title(cause)} was withdrawn: with values of the estimation data, '
+        'the validation data refute it'
+    )
+
+
+def worse_with(cause: Cause) -> str:
+    """Say that the extended model is better in closed loop without a cause."""
+    better = 'the extended model is nearer to the validation data without it'
+    return f'{title(cause)} was withdrawn: {better}'
+
+
+def stands_for(name: str, axis: str, same_as: Sequence[str]) -> str:
+    """Say which effects together do exactly what another effect does on an axis of this model."""
+    both = ' and '.join(find(one).title for one in same_as)
+    verb = 'stands' if len(same_as) == 1 else 'together stand'
+    return f'in this model {find(name).title} does the same on {TITLES[axis]}: {both} {verb} for it, too'
+
+
+def not_what_it_was(what: str, origin: str, apart: float) -> str:
+    """Say that a value is not that of earlier logs, `origin`; both are so many standard errors apart."""
+    return (
+        f'{what.replace("_", " ")} is not what it was ({origin}): these logs and those before differ by '
+        f'{apart:.1f} standard errors, so what was known is left out'
+    )

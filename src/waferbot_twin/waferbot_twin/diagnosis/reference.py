@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Inverse-dynamics least squares beside a diagnosis: what a colleague gets in ten lines.
+
+Mass or inertia, viscous and Coulomb friction and offset of each axis, without library and simulation
+(`identification.least_squares`). A cause has to be better than that, or to say why it differs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
+from waferbot_plant.inverse_dynamics import InverseDynamics
+from waferbot_twin.effects import places
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification.least_squares import (
+    AxisFit,
+    LeastSquares,
+    Options,
+    identify_by_least_squares,
+)
+from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
+from waferbot_twin.logs.measured import MeasuredLog
+from waferbot_twin.plain_values import significant, with_prefix
+from waferbot_twin.plot import TITLES
+
+UNTOLD = 'these logs do not tell it'
+
+
+def reference_of(
+    logs: Sequence[MeasuredLog], validation: Sequence[MeasuredLog], nominal: Variant
+) -> LeastSquares | None:
+    """
+    Return the least squares of logs, None where no axis of them can be fitted so.
+
+    Where gravity swings an axis, a sine and a cosine of the angle stand for it.
+    """
+    found = [
+        one
+        for axis in AXES
+        if (one := _of_axis([_alone(log, axis) for log in logs], validation, nominal, axis))
+    ]
+    if not found:
+        return None
+    return replace(found[0], fits=tuple(fit for one in found for fit in one.fits))
+
+
+def _alone(log: MeasuredLog, axis: str) -> MeasuredLog:
+    """Return the signals of one axis."""
+    return replace(log, signals=tuple(one for one in log.signals if one.axis == axis))
+
+
+def _of_axis(
+    logs: Sequence[MeasuredLog], validation: Sequence[MeasuredLog], nominal: Variant, axis: str
+) -> LeastSquares | None:
+    options = Options(orders=(1.0,) if _swings(nominal, axis) else ())
+    try:
+        return identify_by_least_squares(logs, validation, nominal, options)
+    except UserError:
+        return None
+
+
+def _swings(nominal: Variant, axis: str) -> bool:
+    """Return whether gravity has a torque on an axis that changes with its angle."""
+    if axis not in places.jointed_axes(nominal) or not places.rotary(nominal, axis):
+        return False
+    joint, direction = places.joint_of(nominal, axis), places.direction_of(nominal, axis)
+    assert joint is not None
+    bodies = [nominal.description.bodies[name] for name in places.carried_bodies(nominal, axis)]
+    moment = sum(body.mass * (body.centre_of_gravity - joint.at) for body in bodies)
+    gravity = nominal.description.gravity
+    return bool(
+        np.linalg.norm(np.cross(direction, moment)) * np.linalg.norm(np.cross(direction, gravity))
+        > 0.0
+    )
+
+
+def reference_rows(
+    reference: LeastSquares, nominal: Variant, extended: Variant
+) -> list[dict[str, str]]:
+    """
+    Return one row for each coefficient and for the force at a constant speed: what, value, interval.
+
+    Of the inertia and of that force, which are the same whatever friction is made of, both models' too.
+    What a motion does not tell says so.
+    """
+    rows = []
+    for fit in reference.fits:
+        models = [_of_model(variant, nominal, fit) for variant in (nominal, extended)]
+        for place, name in enumerate(fit.estimate.names):
+            inertias = [one.inertia for one in models] if name == 'inertia' else [None, None]
+            rows.append(_row(fit, place, inertias))
+        rows += [_at_speed(fit, way, [one.at_speed(way) for one in models]) for way in (1.0, -1.0)]
+    return rows
+
+
+@dataclass(frozen=True)
+class _OfModel:
+    """Inertia of an axis in a model, and its force at the speed at which it is asked, both ways."""
+
+    inertia: float | None = None
+    forwards: float | None = None
+    backwards: float | None = None
+
+    def at_speed(self, way: float) -> float | None:
+        return self.forwards if way > 0.0 else self.backwards
+
+
+def _of_model(variant: Variant, nominal: Variant, fit: AxisFit) -> _OfModel:
+    """
+    Return what a model makes of the axis at home, by inverse dynamics.
+
+    In forces that the nominal model's motor makes of the currents: it is these that were fitted.
+    """
+    if fit.force_unit != places.force_unit(nominal, fit.axis):
+        return _OfModel()
+    try:
+        dynamics = InverseDynamics(variant.description)
+    except UserError:
+        return _OfModel()
+    column = dynamics.axes.index(fit.axis)
+    motion = np.zeros((2, 4, len(dynamics.axes)))
+    motion[0, 1:3, column] = _speed_of(fit), -_speed_of(fit)
+    motion[1, 3, column] = 1.0
+    currents = dynamics.currents(np.zeros_like(motion[0]), motion[0], motion[1])[:, column]
+    rest, forwards, backwards, pushed = places.force_per_ampere(nominal, fit.axis) * currents
+    return _OfModel(float(pushed - rest), float(forwards), float(backwards))
+
+
+def _speed_of(fit: AxisFit) -> float:
+    """Return half of the highest speed of the logs, m/s or rad/s."""
+    return 0.5 * float(np.max(np.abs(fit.measured.centre)))
+
+
+def _at_speed(fit: AxisFit, way: float, models: Sequence[float | None]) -> dict[str, str]:
+    """Return the row of the force at a constant speed, forwards (1) or backwards (-1), at zero."""
+    found = dict(zip(fit.estimate.names, fit.estimate.value, strict=True))
+    speed = way * _speed_of(fit)
+    force = found['viscous'] * speed + way * found['coulomb'] + found['offset']
+    force += sum(value for name, value in found.items() if name.startswith('cosine'))
+    factor, unit = with_prefix(speed, f'{fit.length_unit}/s')
+    known = bool(fit.estimate.determined.all())
+    return {
+        'axis': TITLES[fit.axis],
+        'what': f'constant-speed force, {significant(factor * speed, 2)} {unit}',
+        'value': _text(float(force), fit.force_unit) if known else UNTOLD,
+        'interval': '',
+        'nominal': _text(models[0], fit.force_unit),
+        'extended': _text(models[1], fit.force_unit),
+    }
+
+
+def _row(fit: AxisFit, place: int, models: Sequence[float | None]) -> dict[str, str]:
+    found, name = fit.estimate, fit.estimate.names[place]
+    unit = unit_of(name, fit)
+    known = bool(found.determined[place])
+    low, high = (significant(float(end[place])) for end in (found.low95, found.high95))
+    return {
+        'axis': TITLES[fit.axis],
+        'what': label_of(name, fit),
+        'value': _text(float(found.value[place]), unit) if known else UNTOLD,
+        'interval': f'{low} to {high} {unit}' if known else '',
+        'nominal': _text(models[0], unit),
+        'extended': _text(models[1], unit),
+    }
+
+
+def _text(value: float | None, unit: str) -> str:
+    return '' if value is None else f'{significant(value)} {unit}'
+
+
+def reference_remarks(reference: LeastSquares) -> list[str]:
+    """Return how well the coefficients tell the force of each log, and what to know of them."""
+    errors = [
+        f'{TITLES[fit.axis]} in {one.log}{"" if one in fit.fitted else " (not used for the fit)"}: '
+        f'{100.0 * one.relative:.3g} % of the force is left, RMS {significant(one.rms, 3)} '
+        f'{fit.force_unit}'
+        for fit in reference.fits
+        for one in (*fit.fitted, *fit.validation)
+    ]
+    return [*errors, *remarks(reference)]
+
+
+def reference_dict(reference: LeastSquares | None) -> dict[str, Any] | None:
+    """Return the reference as plain values, as `identify --method least-squares --json` has them."""
+    return None if reference is None else as_dict(reference)

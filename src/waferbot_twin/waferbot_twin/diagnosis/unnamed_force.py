@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a force without a name would gain in the validation data, beside the extended model.
+
+The extended model holds causes alone. Where a force over speed or position is left that no cause
+explains (`inference.discrepancy`), a model that has it as a table is as near to the machine as a force
+of that kind can bring it: what is still missing after that is something else. Both are fitted to the
+estimation data alone, as for every gain (`validation.holdout`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.residuals.problem import Problem, apply_all
+from waferbot_twin.validation.gain import AxisGain, gains
+from waferbot_twin.validation.holdout import fitted_to
+
+if TYPE_CHECKING:
+    from waferbot_twin.diagnosis.diagnose import Diagnosis
+
+
+def gains_with_it(diagnosis: Diagnosis) -> list[AxisGain]:
+    """
+    Return the gain of every axis in every validation log with the forces without a name.
+
+    None where there is no such force, or where the machine does not run with it.
+    """
+    causes = diagnosis.after.causes
+    if not any(is_discrepancy(cause) for cause in causes):
+        return []
+    nominal, records = diagnosis.nominal, diagnosis.problem.records
+    usual = [
+        item.name
+        for cause in causes
+        for item in cause.effect.parameters(nominal, cause.axis)
+        if item.spread > 0.0
+    ]
+    count = len(diagnosis.estimation)
+    estimation = Problem(nominal, records[:count])
+    fitted = fitted_to(estimation.with_prior(usual, diagnosis.settings.prior_scales), causes)
+    try:
+        return gains(nominal, apply_all(nominal, fitted), records[count:])
+    except UserError:
+        return []
