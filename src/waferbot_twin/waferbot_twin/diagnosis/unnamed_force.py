@@ -42,6 +42,6 @@ def gains_with_it(diagnosis: Diagnosis) -> list[AxisGain]:
     estimation = Problem(nominal, records[:count])
     fitted = fitted_to(estimation.with_prior(usual, diagnosis.settings.prior_scales), causes)
     try:
-        return gains(nominal, apply_all(nominal, fitted), records[count:])
+        return gains(nominal, apply_all(nominal, fitted.causes), records[count:])
     except UserError:
         return []

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from waferbot_lockstep.timing import Timing
@@ -16,6 +19,7 @@ from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.noise_free_motion import motions
 from waferbot_twin.residuals.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
 
 
@@ -77,3 +81,25 @@ def test_a_cause_nearly_right_leaves_a_small_share(problem):
     nearly = cause('wrong_derivative_gain:y_linear', ratio=0.9905)
     (left,) = left_over(problem, DEAD_TIME, nearly).values()
     assert left.share < 0.02
+
+
+def test_a_signal_that_one_log_does_not_have_is_asked_of_none(problem, monkeypatch):
+    """An imported log without line currents beside one with them, of the same axis."""
+    two = Problem(problem.nominal, [*problem.records, replace(problem.records[0], name='second')])
+    found = Posterior(evaluate(two), evaluate(two, (DERIVATIVE, DEAD_TIME)), (), 0)
+    known = unexplained(two, found, Settings())
+
+    def without_currents(*asked):
+        every = motions(*asked)
+        second = id(two.records[1])
+        return {
+            key: replace(one, currents=tuple(np.nan * part for part in one.currents))
+            if key[0] == second
+            else one
+            for key, one in every.items()
+        }
+
+    monkeypatch.setattr('waferbot_twin.diagnosis.inference.unexplained.motions', without_currents)
+    assert {item.axis for item in unexplained(two, found, Settings())} <= {
+        item.axis for item in known
+    }

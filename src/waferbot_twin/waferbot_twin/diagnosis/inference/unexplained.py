@@ -113,15 +113,13 @@ def _dependence(
 ) -> tuple[float, float]:
     """Return equation (1) of a channel in all logs, and the share of its mean square that depends."""
     fit = found.fits[block]
-    columns: list[Array] = [np.zeros((0, 0))] * len(fit.colours)
-    for channel, place in channels:
-        motion = moving[id(channel.log.record), channel.axis]
-        columns[place] = _columns(motion, channel.log.times_s(channel.name))
-    width = max(matrix.shape[1] for matrix in columns)
-    columns = [
-        matrix if len(matrix) else np.zeros((len(residual), width))
-        for matrix, residual in zip(columns, found.residuals[block], strict=True)
-    ]
+    signals = [_signals(moving[id(channel.log.record), channel.axis]) for channel, _ in channels]
+    # An imported log has no line currents. What one log does not have is asked of none.
+    known = np.all([[np.isfinite(one).all() for one in own[1]] for own in signals], axis=0)
+    columns = [np.zeros((len(one), int(known.sum()))) for one in found.residuals[block]]
+    for (channel, place), (clock_s, own) in zip(channels, signals, strict=True):
+        kept = [one for one, is_known in zip(own, known, strict=True) if is_known]
+        columns[place] = _columns(clock_s, kept, channel.log.times_s(channel.name))
     places = [place for _, place in channels]
     white = in_deviations(fit.colours, columns)
     rows = np.vstack([white[place] for place in places])
@@ -142,9 +140,9 @@ def _dependence(
     return gained - 0.5 * float(rank) * math.log(len(whole)), sum(squares) / float(whole @ whole)
 
 
-def _columns(motion: Motion, times_s: Array) -> Array:
-    """Return what the command makes an axis do at some times, (n, k), each about its mean."""
-    signals = [
+def _signals(motion: Motion) -> tuple[Array, list[Array]]:
+    """Return the clock of a motion, and what the command makes the axis do, NaN where nobody knows."""
+    return motion.clock_s, [
         motion.position,
         motion.speed,
         motion.acceleration,
@@ -153,9 +151,11 @@ def _columns(motion: Motion, times_s: Array) -> Array:
         *motion.currents,
         motion.amplitude,
     ]
-    # An imported log has no line currents.
-    known = [one for one in signals if np.isfinite(one).all()]
-    columns = np.column_stack([np.interp(times_s, motion.clock_s, one) for one in known])
+
+
+def _columns(clock_s: Array, signals: Sequence[Array], times_s: Array) -> Array:
+    """Return signals at some times, (n, k), each about its mean in its standard deviations."""
+    columns = np.column_stack([np.interp(times_s, clock_s, one) for one in signals])
     columns = columns - columns.mean(axis=0)
     scale = columns.std(axis=0)
     return columns / np.where(scale > 0.0, scale, 1.0)
