@@ -13,7 +13,8 @@ REQUIREMENTS := -r requirements/ros-jazzy.txt -r requirements/runtime.txt -r req
 LOCK = requirements/lock-python$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
 
 RUN := ./waferbot --exec
-SIDE_BY_SIDE := --numprocesses auto --dist loadfile
+# Files in the order of conftest.py, which puts long ones first; xdist's own is by the number of tests.
+SIDE_BY_SIDE := --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: help build demo test test-fast lint bench bench-diagnosis bench-endurance bench-fuzz docs audit lock clean
 

@@ -12,6 +12,8 @@ import pytest
 
 from waferbot_twin.cli.main import COMMANDS, build_parser, main
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = {
     command: import_module(f'waferbot_twin.cli.{module}').EXAMPLES
     for command, module in COMMANDS.items()

@@ -16,7 +16,7 @@ BANDWIDTHS = {
 }
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.fixture
