@@ -2,8 +2,9 @@
 """
 For all tests: linear algebra on one thread, as in every command; examples untimed and repeatable.
 
-Files with a test that is marked `long` come first. The workers of pytest-xdist take a file each as they
-become free (`--dist loadfile`), so what comes last should be short: then they end together.
+Files with a test that is marked `long` come first, then those with one that is `slow`. The workers of
+pytest-xdist take a file each as they become free (`--dist loadfile`), so short ones at the end let them
+end together.
 """
 
 import hypothesis
@@ -18,5 +19,7 @@ hypothesis.settings.load_profile('waferbot')
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the files first that take long, else in the order in which they were found."""
-    long = {item.path for item in items if item.get_closest_marker('long')}
-    items.sort(key=lambda item: item.path not in long)
+    long, slow = (
+        {item.path for item in items if item.get_closest_marker(name)} for name in ('long', 'slow')
+    )
+    items.sort(key=lambda item: (item.path not in long, item.path not in slow))
