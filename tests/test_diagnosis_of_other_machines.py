@@ -54,7 +54,7 @@ def random():
     return np.random.default_rng(seed)
 
 
-def measure(random, file, truth, rate_hz=1000.0, seconds=3.0):
+def measure(random, file, truth, rate_hz=1000.0, seconds=2.0):
     """Write a log of the true machine following a path of its own, with noise of 1 % in the torque."""
     wave = 2.0 * np.pi * random.uniform(0.2, 1.2, 4)
     phase = random.uniform(0.0, 2.0 * np.pi, 4)
