@@ -131,7 +131,9 @@ def test_it_runs(example, run):
     run(example)
 
 
-JSON_ELSEWHERE = ('run', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify')
+JSON_ELSEWHERE = (
+    *('run', 'tables', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify'),
+)
 """Commands that their own tests ask for JSON; they take long."""
 
 FIRST = {
