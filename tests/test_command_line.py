@@ -181,11 +181,20 @@ def test_an_unknown_option_or_command_is_refused_without_traceback(arguments):
     assert 'usage: waferbot' in result.stderr
 
 
+AT_ONCE = """
+import sys
+from waferbot_twin.cli import console, main
+console.QUIET_S = 0.0
+sys.exit(main(sys.argv[1:]))
+"""
+"""The command, with progress told from the beginning and not only where it takes long."""
+
+
 def on_terminal(*arguments):
     """Run a command with standard error on a terminal; return exit code and what it drew."""
     leader, follower = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, '-m', 'waferbot_twin', *arguments],
+        [sys.executable, '-c', AT_ONCE, *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=follower,
@@ -206,16 +215,19 @@ def on_terminal(*arguments):
 
 
 def test_a_progress_bar_is_drawn_on_a_terminal_only():
-    # With start-up this takes longer than the two seconds after which a bar appears.
-    arguments = (
-        *('run', '--engine', 'composed', '--delivery', 'topics', '--duration', '4'),
-        *('--experiment', 'constant'),
-    )
+    arguments = ('run', '--engine', 'composed', '--duration', '0.5', '--experiment', 'constant')
     code, drawn = on_terminal(*arguments)
     assert code == 0
     assert 'constant on rigid' in drawn
     assert '%' in drawn
-    piped = waferbot(*arguments)
+    piped = subprocess.run(
+        [sys.executable, '-c', AT_ONCE, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert piped.returncode == 0
+    assert 'constant on rigid: about' in piped.stderr
     assert '%' not in piped.stderr
     assert '\x1b' not in piped.stderr + piped.stdout
 

@@ -32,6 +32,8 @@ HIDDEN = (
 )
 SEED = 33
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def random():

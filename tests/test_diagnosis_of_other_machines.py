@@ -17,6 +17,8 @@ import pytest
 from harness import output_of
 from scipy.integrate import solve_ivp
 
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
 DESCRIPTION = """
 name: my axis
 bodies:
@@ -52,7 +54,7 @@ def random():
     return np.random.default_rng(seed)
 
 
-def measure(random, file, truth, rate_hz=1000.0, seconds=3.0):
+def measure(random, file, truth, rate_hz=1000.0, seconds=2.0):
     """Write a log of the true machine following a path of its own, with noise of 1 % in the torque."""
     wave = 2.0 * np.pi * random.uniform(0.2, 1.2, 4)
     phase = random.uniform(0.0, 2.0 * np.pi, 4)
@@ -90,7 +92,6 @@ def measure(random, file, truth, rate_hz=1000.0, seconds=3.0):
 @pytest.mark.xfail(
     reason='a load-dependent friction at its bound is named in place of cogging and friction'
 )
-@pytest.mark.slow
 def test_friction_and_cogging_of_a_machine_of_ones_own(random, tmp_path):
     truth = {
         'viscous': 0.0,
@@ -190,7 +191,6 @@ def measure_stage(random, file, truth, hertz, metres, seconds=2.5):
 @pytest.mark.xfail(
     reason='presliding with the right friction is named in place of Coulomb friction'
 )
-@pytest.mark.slow
 def test_a_stage_with_three_causes_at_once_and_what_its_log_cannot_tell(random, tmp_path):
     """A log without the force tells no mass from a force constant: both must be said."""
     truth = {

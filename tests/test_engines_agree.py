@@ -17,6 +17,8 @@ from waferbot_twin.models import model_names
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import recording_file
 
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+
 
 def standard_messages(recording):
     """Return the bytes of all messages on the standard topics, in order."""
@@ -38,7 +40,6 @@ def shipped_experiments():
     return sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith('.yaml'))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('engine', ['ros', 'composed'])
 def test_step_over_ros_is_bit_identical_to_the_loop_without_ros(recorded, engine):
     one, other = recorded(engine), recorded('inprocess')
@@ -47,7 +48,6 @@ def test_step_over_ros_is_bit_identical_to_the_loop_without_ros(recorded, engine
     assert one.counts == other.counts
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('engine', ['ros', 'composed'])
 def test_standard_messages_are_the_same_bytes(recorded, engine):
     one, other = standard_messages(recorded(engine)), standard_messages(recorded('inprocess'))
@@ -92,7 +92,6 @@ def short(tmp_path_factory):
     return run_engine('inprocess', tmp_path_factory.mktemp('short') / 'run', duration_s=SHORT_S)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('options', LAYOUTS.values(), ids=LAYOUTS)
 def test_every_layout_and_delivery_is_bit_identical(short, tmp_path, options):
     one = run_engine('ros', tmp_path / 'run', duration_s=SHORT_S, **options)
@@ -109,7 +108,6 @@ PROCESSES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('processes', PROCESSES.values(), ids=PROCESSES)
 def test_every_message_is_on_its_topic_in_any_delivery(
     tmp_path, start, connect, domain, processes
@@ -150,35 +148,37 @@ def test_every_message_is_on_its_topic_in_any_delivery(
     assert [list(heard[PHASE_VOLTAGES][tick]) for tick in range(ticks)] == volts
 
 
-@pytest.mark.slow
 def test_step_moves_every_axis(recorded):
     counts = recorded('inprocess')['encoders']['counts']
     moved = abs(counts - counts[0]).max(axis=0)
     assert (moved > 700).all()
 
 
-@pytest.mark.slow
-def test_second_run_with_shuffled_start_order_is_bit_identical(recorded, tmp_path):
+def test_second_run_with_shuffled_start_order_is_bit_identical(short, tmp_path):
     seed = random.randrange(2**32)
     print(f'seed {seed}')
     order = ['plant', 'pmac', 'copley']
     random.Random(seed).shuffle(order)
-    second = run_engine('ros', tmp_path / 'second', start_order=order)
-    assert differing_signals(recorded('ros'), second) == []
+    second = run_engine('ros', tmp_path / 'second', duration_s=SHORT_S, start_order=order)
+    assert differing_signals(short, second) == []
 
 
-@pytest.mark.slow
-def test_one_copley_node_per_axis_is_bit_identical(recorded, tmp_path):
+def test_one_copley_node_per_axis_is_bit_identical(short, tmp_path):
     seed = random.randrange(2**32)
     print(f'seed {seed}')
     order = ['plant', 'pmac', 'copley_y_linear', 'copley_x_rotate', 'copley_y_rotate']
     random.Random(seed).shuffle(order)
-    split = run_engine('ros', tmp_path / 'split', one_copley_per_axis=True, start_order=order)
-    assert split.counts['/phase_voltages'] == 3 * 9000
-    assert differing_signals(recorded('ros'), split) == []
+    split = run_engine(
+        'ros',
+        tmp_path / 'split',
+        duration_s=SHORT_S,
+        one_copley_per_axis=True,
+        start_order=order,
+    )
+    assert split.counts['/phase_voltages'] == 3 * Timing().ticks(SHORT_S)
+    assert differing_signals(short, split) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('experiment', shipped_experiments())
 def test_every_shipped_experiment_is_the_same_composed(tmp_path, experiment):
     runs = [
@@ -189,7 +189,6 @@ def test_every_shipped_experiment_is_the_same_composed(tmp_path, experiment):
     assert differing_signals(*runs) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('model', model_names())
 def test_every_shipped_model_is_the_same_composed(tmp_path, model):
     runs = [
@@ -213,7 +212,6 @@ COMPENSATED = """\
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('engine', ['ros', 'composed'])
 def test_compensation_tables_act_in_the_same_cycles(tmp_path, engine):
     model = tmp_path / 'compensated.yaml'
@@ -226,7 +224,6 @@ def test_compensation_tables_act_in_the_same_cycles(tmp_path, engine):
     assert abs(runs[0]['servo_state']['output'][:, 2]).max() > 200.0
 
 
-@pytest.mark.slow
 def test_a_difference_is_found(recorded, tmp_path):
     other = run_engine('inprocess', tmp_path / 'other', 'constant')
     assert 'current_command.current' in differing_signals(recorded('inprocess'), other)

@@ -35,7 +35,7 @@ from waferbot_twin.recording.reader import read_recording
 HANGS_AFTER_S = 60.0
 """Whoever is still there then hangs. How fast nodes stop is measured by `make bench-endurance`."""
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 def long_run(start, out, *arguments):

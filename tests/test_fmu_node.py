@@ -13,7 +13,10 @@ from waferbot_twin.recording.reader import read_recording
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 WHAT = ('--model', 'as_built', '--experiment', 'step', '--duration', '0.05')
 
-pytestmark = pytest.mark.skipif(sys.platform != 'linux', reason='FMUs are tried on Linux alone')
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.skipif(sys.platform != 'linux', reason='FMUs are tried on Linux alone'),
+]
 
 
 @pytest.fixture(scope='module', params=['3', '2'])

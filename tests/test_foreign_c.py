@@ -31,7 +31,7 @@ DURATION_S = 0.5
 FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silence'}
 """Mistakes of peers that the programs pass over."""
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.fixture(scope='module')
@@ -96,7 +96,7 @@ def test_with_both_of_them_only_the_plant_is_ours(build, tmp_path, start):
         'pmac': [build('pmac'), *pmac_arguments()],
         'copley': [build('copley'), *copley_arguments()],
     }
-    check_same_bits(start, tmp_path, peers, 2.0)
+    check_same_bits(start, tmp_path, peers, DURATION_S)
 
 
 def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(

@@ -9,7 +9,7 @@ from fuzzing.categories import CATEGORIES, tracebacks
 SEED = 20261125
 COUNT = 300
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 @pytest.mark.parametrize('name', CATEGORIES)

@@ -12,6 +12,8 @@ import pytest
 
 from waferbot_twin.cli.main import COMMANDS, build_parser, main
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = {
     command: import_module(f'waferbot_twin.cli.{module}').EXAMPLES
     for command, module in COMMANDS.items()
@@ -129,7 +131,9 @@ def test_it_runs(example, run):
     run(example)
 
 
-JSON_ELSEWHERE = ('run', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify')
+JSON_ELSEWHERE = (
+    *('run', 'tables', 'tune', 'sweep', 'optimise', 'feedforward', 'frf', 'modes', 'verify'),
+)
 """Commands that their own tests ask for JSON; they take long."""
 
 FIRST = {

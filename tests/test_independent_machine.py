@@ -30,6 +30,8 @@ from waferbot_twin.models import load_model_or_machine
 
 STEP_S = 1e-5
 
+pytestmark = pytest.mark.long
+
 
 def mechanism(**values):
     nothing = dict.fromkeys(Physics._fields, 0.0)

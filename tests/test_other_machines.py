@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from harness import output_of
 
 from waferbot_twin.recording.reader import read_recording
 
@@ -16,41 +17,42 @@ BANDWIDTHS = {
 }
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
-@pytest.fixture
-def told(start):
-    """Give a function that runs a command and returns what it said."""
+# One as long as the stage's steps: up at full speed, a rest, and down again.
+STROKE = {
+    'name': 'stroke',
+    'duration_s': 1.0,
+    'program': [
+        {'dwell_s': 0.02},
+        {'linear': {'y_linear_m': 0.1}, 'acceleration_time_s': 0.1, 's_curve_time_s': 0.02},
+        {'dwell_s': 0.1},
+        {'linear': {'y_linear_m': 0.0}, 'acceleration_time_s': 0.1, 's_curve_time_s': 0.02},
+    ],
+}
 
-    def run(*arguments):
-        program = start('waferbot_twin', *map(str, arguments))
-        assert program.wait(280.0) == 0, program.output
-        return program.output
 
-    return run
-
-
-@pytest.fixture
-def commissioned(told, tmp_path):
-    """Give a function that makes the model of an example."""
+@pytest.fixture(scope='module')
+def commissioned(tmp_path_factory):
+    """Give a function that makes the model of an example, once."""
+    folder = tmp_path_factory.mktemp('models')
 
     def make(name):
-        file = tmp_path / f'{name}.yaml'
-        more = [part for one in BANDWIDTHS[name] for part in ('--bandwidth', one)]
-        told('commission', name, *more, '--out', file)
+        file = folder / f'{name}.yaml'
+        if not file.exists():
+            more = [part for one in BANDWIDTHS[name] for part in ('--bandwidth', one)]
+            output_of('commission', name, *more, '--out', file)
         return file
 
     return make
 
 
 @pytest.mark.parametrize('name', list(BANDWIDTHS))
-def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(
-    name, commissioned, told, tmp_path
-):
+def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(name, commissioned, tmp_path):
     pytest.importorskip('fmpy')
     model, fmu = commissioned(name), tmp_path / 'plant.fmu'
-    told('export-fmu', '--model', model, '--out', fmu)
+    output_of('export-fmu', '--model', model, '--out', fmu)
     what = ('run', '--model', model, '--experiment', 'step', '--duration', '0.03')
     ways = {
         'here': ('--engine', 'inprocess'),
@@ -59,7 +61,7 @@ def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(
     }
     runs = {}
     for way, how in ways.items():
-        said = told(*what, *how, '--out', tmp_path / way)
+        said = output_of(*what, *how, '--out', tmp_path / way)
         assert '0 missing of' in said
         runs[way] = read_recording(tmp_path / way)
     for way in ('ros', 'fmu'):
@@ -69,9 +71,9 @@ def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(
     assert np.abs(runs['here']['servo_state']['following_error']).max() > 0.0
 
 
-def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, told, tmp_path):
+def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, tmp_path):
     out = tmp_path / 'tuned'
-    told(
+    output_of(
         'tune', '--model', commissioned('scara'), '--axis', 'x_rotate', '--experiment',
         'step_x_rotate', '--generations', '6', '--poses', 'x_rotate=0', 'y_rotate=-1:1:3',
         '--out', out,
@@ -82,7 +84,7 @@ def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, told, tmp_pat
     assert all(row['stable'] for row in margins)
     assert min(abs(row['gain_db']) for row in margins) >= 6.0
     assert min(row['phase_deg'] for row in margins) >= 35.0
-    told(
+    output_of(
         'run',
         '--engine',
         'inprocess',
@@ -93,14 +95,16 @@ def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, told, tmp_pat
     )
 
 
-def test_a_ball_screw_stage_is_diagnosed(commissioned, told, tmp_path):
+def test_a_ball_screw_stage_is_diagnosed(commissioned, tmp_path):
     model = commissioned('ball_screw_stage')
     hidden = ('--effect', 'coulomb_friction:y_linear,friction=25', '--model', model)
-    for seed, experiment in enumerate(('full_stroke_y_linear', 'step_y_linear')):
+    stroke = tmp_path / 'stroke.yaml'
+    stroke.write_text(json.dumps(STROKE), 'utf-8')
+    for seed, experiment in enumerate((stroke, 'step_y_linear')):
         out = tmp_path / f'log{seed}'
-        told('synthesize', *hidden, '--experiment', experiment, '--seed', seed, '--out', out)
+        output_of('synthesize', *hidden, '--experiment', experiment, '--seed', seed, '--out', out)
     out = tmp_path / 'diagnosis'
-    told(
+    output_of(
         'diagnose',
         tmp_path / 'log0',
         '--validate',

@@ -31,6 +31,7 @@ from waferbot_plant.plant import load_machine
 from waferbot_twin.engines import inprocess
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.reader import read_recording
+from waferbot_twin.validity import recorded_validity
 from waferbot_twin.view.content import STRETCHES, ViewContent
 from waferbot_twin.view.decimation import decimated
 from waferbot_twin.view.server import ViewServer
@@ -137,6 +138,70 @@ def test_torque_at_rest_holds_the_weight(served):
     torque = np.mean(np.array(axis['force'])[before][1:])
     assert (axis['force_name'], axis['force_unit']) == ('motor torque', 'Nm')
     assert abs(torque) == pytest.approx(abs(moment), rel=1e-3)
+
+
+@pytest.fixture(scope='module')
+def flexible(tmp_path_factory):
+    """The recording of the beginning of a step on the flexible machine."""
+    out = tmp_path_factory.mktemp('view') / 'flexible'
+    inprocess.run(make_plan('flexible', 'step', 0.1, 0), out, False, lambda done, total: None)
+    return out
+
+
+def content_of(path):
+    told = []
+    return ViewContent(read_recording(path, told.append), told)
+
+
+def test_at_rest_a_rope_bears_the_counterweight_and_a_belt_its_pretension(flexible):
+    sent = content_of(flexible).recording()
+    rest = np.array(sent['load_ends']) < 0.015
+    amounts = {(load['place'], load['what']): load for load in sent['loads']}
+    description = load_machine('flexible').description
+    belt = description.connections['belt'].part
+    weight = 9.81 * description.bodies['counterweight'].mass
+    for place, what, unit, expected in (
+        ('cable', 'tension of a rope', 'N', weight / 2.0),  # on two ropes
+        ('belt', 'tension of the slack span', 'N', belt.span_pretension_n),
+    ):
+        found = amounts[place, what]
+        assert found['unit'] == unit
+        for values in (found['least'], found['most']):
+            assert np.array(values)[rest] == pytest.approx(expected, rel=1e-6)
+    moved = amounts['cable', 'tension of a rope']
+    assert moved['most'][-1] > moved['least'][-1]
+
+
+def test_what_leaves_its_range_is_marked_from_when_the_run_says_it_did(flexible):
+    sent = content_of(flexible).recording()
+    marked = {
+        (load['place'], load['what']): sent['load_ends'][load['outside'].index(True)]
+        for load in sent['loads']
+        if any(load['outside'])
+    }
+    said = {
+        (row['place'], row['what']): row['first_s']
+        for row in recorded_validity(flexible)
+        if row['outside'] and row['what'] != 'current command'
+    }
+    assert marked
+    assert marked == said
+
+
+def test_a_long_recording_has_wider_stretches_and_keeps_the_peaks(flexible, monkeypatch):
+    whole = content_of(flexible).recording()
+    monkeypatch.setattr('waferbot_twin.view.loads.MOST_STRETCHES', 3)
+    sent = content_of(flexible).recording()
+    assert len(sent['load_ends']) == 3
+    assert sent['load_ends'][-1] == whole['load_ends'][-1]
+    for wide, narrow in zip(sent['loads'], whole['loads'], strict=True):
+        assert min(wide['least']) == min(narrow['least'])
+        assert max(wide['most']) == max(narrow['most'])
+        assert any(wide['outside']) == any(narrow['outside'])
+
+
+def test_of_rigid_connections_nothing_is_told(run):
+    assert content_of(run).recording()['loads'] == []
 
 
 def test_curves_are_the_samples_of_the_stretch(served):
@@ -414,12 +479,54 @@ def test_the_values_beside_the_machine_are_those_of_the_time(fresh, served):
         assert float(number) == pytest.approx(axis['force'][place], abs=6e-3)
 
 
+@pytest.fixture
+def flexible_page(page, served, flexible):
+    """The page of the flexible machine in the same browser, and what is served to it."""
+    content = content_of(flexible)
+    with ViewServer(content) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        page.open(server.url)
+        page.wait_for("document.body?.dataset.state === 'ready'")
+        yield page, content.recording()
+        server.shutdown()
+        thread.join()
+    page.open(served[0].url)
+    page.wait_for("document.body?.dataset.state === 'ready'")
+
+
 @pytest.mark.slow
-def test_a_picture_of_the_page(fresh, tmp_path):
-    fresh.value('waferbotView.seek(0.06)')
-    left, top, width, height = fresh.place_of('.u-over')
-    fresh.mouse('mouseMoved', left + 0.3 * width, top + 0.5 * height)
-    picture = fresh.picture()
+def test_what_the_parts_bear_is_shown_of_the_stretch_of_the_time(flexible_page):
+    page, sent = flexible_page
+    for time, place in ((0.0, 0), (0.045, 5), (0.05, 5), (1.0, -1)):
+        page.value(f'waferbotView.seek({time})')
+        rows = page.value(
+            'Array.from(document.querySelectorAll("#loads tbody tr"), row => '
+            '[row.className, ...Array.from(row.cells, cell => cell.textContent)])'
+        )
+        for load, (marked, *cells) in zip(sent['loads'], rows, strict=True):
+            assert [cells[0], cells[1], cells[3]] == [load['place'], load['what'], load['range']]
+            amounts, unit = cells[2].rsplit(' ', 1)
+            least, most = (amounts.split(' to ') * 2)[:2]
+            assert unit == load['unit']
+            assert float(least) == pytest.approx(load['least'][place], rel=6e-4)
+            assert float(most) == pytest.approx(load['most'][place], rel=6e-4)
+            assert (marked == 'outside') is load['outside'][place]
+    assert page.troubles() == []
+
+
+@pytest.mark.slow
+def test_where_all_is_rigid_there_is_no_table_of_what_parts_bear(fresh):
+    assert fresh.value('document.getElementById("loads").hidden') is True
+
+
+@pytest.mark.slow
+def test_a_picture_of_the_page(flexible_page, tmp_path):
+    page, _ = flexible_page
+    page.value("waferbotView.choose('y_linear'); waferbotView.seek(0.06)")
+    left, top, width, height = page.place_of('.u-over')
+    page.mouse('mouseMoved', left + 0.3 * width, top + 0.5 * height)
+    picture = page.picture()
     assert picture.startswith(b'\x89PNG')
     Path(os.environ.get(PICTURE, tmp_path / 'view.png')).write_bytes(picture)
-    assert fresh.troubles() == []
+    assert page.troubles() == []

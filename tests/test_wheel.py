@@ -24,7 +24,7 @@ ROOT = Path(__file__).parent.parent
 PATIENCE_S = 280.0
 """Most of it is for compiling the model, once, at its new place."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.long, pytest.mark.timeout(900)]
 
 
 def required(name: str, seen: set[str]) -> Iterator[metadata.Distribution]:

@@ -205,3 +205,7 @@ def test_tables_command(capsys, monkeypatch, runs: Runs) -> None:
         line = f'{"yes" if finding.met else "no "}  {finding.statement.says}: '
         assert line in printed_text
     assert f'{sum(finding.met for finding in said)} of {len(said)} statements met' in printed_text
+    assert main(['tables', '--json']) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert all(f'Table {table["table"]}. ' in printed_text for table in told['tables'])
+    assert [one['met'] for one in told['statements']] == [finding.met for finding in said]

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Show a recording in the browser: the machine moving, position, following error and current.
+Show a recording in the browser: the machine moving, its motors' forces, what its parts bear, and plots.
 
 Needs no ROS tools and no network: the page and all that it uses come with waferbot, and are served
 to this computer alone (127.0.0.1). Ctrl-C ends it.
@@ -12,6 +12,8 @@ import argparse
 import sys
 import webbrowser
 from pathlib import Path
+
+import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import print_json, say
@@ -45,7 +47,8 @@ def execute(options: argparse.Namespace) -> int:
     """Serve the recording until Ctrl-C."""
     if not 0 <= options.port <= LARGEST_PORT:
         raise UserError(f'--port is {options.port}; it must be from 0 (a free one) to 65535')
-    recording = read_recording(options.recording)
+    told: list[np.ndarray] = []
+    recording = read_recording(options.recording, told.append)
     if archive.ATTACHMENT in recording.attachments:
         raise UserError(
             f'{options.recording} is a measured log, which has no machine to show; '
@@ -54,7 +57,7 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.view.content import ViewContent
     from waferbot_twin.view.server import ViewServer
 
-    with ViewServer(ViewContent(recording), options.port) as server:
+    with ViewServer(ViewContent(recording, told), options.port) as server:
         if options.json:
             print_json({'url': server.url})
         else:

@@ -163,16 +163,21 @@ def _named_files(metadata: Path) -> list[str]:
     return names
 
 
-def read_recording(path: Path | str) -> Recording:
+def read_recording(
+    path: Path | str, take_plant_state: Callable[[np.ndarray], None] | None = None
+) -> Recording:
     """
     Read a recording whole; a cut-off file is read as far as it goes.
 
+    Messages of `plant_state` go to `take_plant_state` if it is given, some thousand at a time.
     Raises `UserError` if there is none, if the file is no MCAP, or if a contract topic has another
     definition than the installed messages (type hash).
     """
     parts: dict[Topic, list[np.ndarray]] = {}
     recording = stream_recording(
-        Path(path), lambda topic, records: parts.setdefault(topic, []).append(records)
+        Path(path),
+        lambda topic, records: parts.setdefault(topic, []).append(records),
+        take_plant_state=take_plant_state,
     )
     for topic in list(parts):
         recording.topics[topic.name] = merge_by_tick(np.concatenate(parts.pop(topic)), topic)

@@ -4,12 +4,13 @@ What the page shows of a recording, as plain values.
 
 Motion: position of every axis as its encoder measured it, at times that a screen can follow. Force:
 current times the motor's force constant of the description, F = k_F i, as the mean over the time
-between two pictures; it leaves out saturation and cogging. The recording holds no forces inside the
-mechanism (springs, belts), so none are shown.
+between two pictures; it leaves out saturation and cogging. What the parts between motors and payload
+bore (tensions of belts and cables, loads of bearings) is that of the plant, see `loads`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,7 @@ from waferbot_twin.recording.reader import Recording
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import axis_responses
 from waferbot_twin.view.decimation import decimated
+from waferbot_twin.view.loads import loads_of
 
 PICTURE_S = 1.0 / 200.0
 """Shortest time between two positions of the machine."""
@@ -63,8 +65,8 @@ class Plot:
 class ViewContent:
     """A recording, ready to be shown; raises `UserError` if it lacks what is shown."""
 
-    def __init__(self, recording: Recording) -> None:
-        """Read axes, plots and machine from the recording."""
+    def __init__(self, recording: Recording, told: Sequence[NDArray[np.void]] = ()) -> None:
+        """Read axes, plots and machine from the recording; `told` are its messages of `plant_state`."""
         if 'model.yaml' not in recording.attachments:
             raise UserError(
                 f'{recording.path} does not hold the model that it was made with, so its machine and '
@@ -74,9 +76,8 @@ class ViewContent:
             raise UserError(f'{recording.path}: no encoder counts were recorded')
         responses = axis_responses(recording)
         model = recorded_model(recording)
-        description = load_machine(
-            model.parameters['plant'].get('description', 'rigid')
-        ).description
+        machine = load_machine(model.parameters['plant'].get('description', 'rigid'))
+        description = machine.description
         lacking = [axis for axis in AXES if axis not in description.motors]
         if lacking:
             raise UserError(f'{recording.path}: its machine has no motor of {", ".join(lacking)}')
@@ -89,13 +90,14 @@ class ViewContent:
         )
         self.urdf = urdf(description)
         self.plots = [plot for response in responses for plot in _plots(response)]
+        self._load_ends, self._loads = loads_of(machine, told, recording.timing)
         self._responses = responses
         self._force_constants = {
             axis: force_constant(motor) for axis, motor in description.motors.items()
         }
 
     def recording(self) -> dict[str, Any]:
-        """Return what the page needs once: names, machine, plots without their curves, motion."""
+        """Return what the page needs once: names, machine, plots without curves, motion, loads."""
         time_s = _picture_times(self.duration_s)
         return {
             'name': self.name,
@@ -115,6 +117,8 @@ class ViewContent:
                 for plot in self.plots
             ],
             'time': time_s.tolist(),
+            'load_ends': self._load_ends,
+            'loads': self._loads,
         }
 
     def curves(self, start_s: float, end_s: float) -> list[list[list[list[float]]]]:

@@ -189,6 +189,36 @@ function interpolated(times, values, time) {
   return values[before] + part * (values[before + 1] - values[before]);
 }
 
+// What the parts bore in the stretch that a time is in: the plant tells it at the stretch's end.
+class Loads {
+  constructor(recording) {
+    this.ends = recording.load_ends;
+    this.loads = recording.loads;
+    $('loads').hidden = !this.loads.length;
+    this.rows = this.loads.map((load) => {
+      const row = $('loads').querySelector('tbody').insertRow();
+      for (const text of [load.place, load.what, '', load.range]) row.insertCell().textContent = text;
+      return row;
+    });
+  }
+
+  show(time) {
+    if (!this.loads.length) return;
+    let [low, high] = [0, this.ends.length - 1];
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.ends[middle] < time) low = middle + 1;
+      else high = middle;
+    }
+    this.loads.forEach((load, place) => {
+      const [least, most] = [load.least[low], load.most[low]].map((value) => `${+value.toPrecision(4)}`);
+      const row = this.rows[place];
+      row.cells[2].textContent = `${least === most ? least : `${least} to ${most}`} ${load.unit}`;
+      row.className = load.outside[low] ? 'outside' : '';
+    });
+  }
+}
+
 class View {
   constructor(recording, curves) {
     this.recording = recording;
@@ -204,6 +234,7 @@ class View {
       console.warn(error);
       $('no-machine').hidden = false;
     }
+    this.loads = new Loads(recording);
     this.rows = recording.axes.map((axis) => {
       const row = $('values').tBodies[0].insertRow();
       for (const text of [axis.title, '', axis.force_name, '']) row.insertCell().textContent = text;
@@ -256,6 +287,7 @@ class View {
       cells[1].textContent = `${(scale * axis.position).toFixed(4)} ${prefix}`;
       cells[3].textContent = `${axis.force.toFixed(2)} ${axis.force_unit}`;
     });
+    this.loads.show(this.time);
     this.plots.mark(this.time);
     this.machine?.show(axes);
   }
