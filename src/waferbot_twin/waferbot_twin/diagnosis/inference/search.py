@@ -91,15 +91,15 @@ def _ask_on(
     """
     Add effects as long as one is included; return how often was asked, too.
 
-    With the most probable candidate come those that are plain beside it, too (`_apart`): they would be
-    found in the next rounds. They are tentative.
+    With the most probable candidate come those that are plain beside it, too (`_apart`): they were asked
+    for as well, and would be found in the next rounds.
 
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
     along it were known is in the model for the time being, too. And whichever came first would take what
     many others leave over. So where something is found a second time, what everybody fits first comes
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
-    (`CandidatePool.usual`). All these are tentative: each stays if it is evident beside all that was
+    (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
     found by then. A force without a name is asked for again beside them, and not there before: it would
     do what several of them do together.
     """
@@ -122,7 +122,7 @@ def _ask_on(
                 effect if included else SingleEffect((best,), effect.none)
             )
             for one in _apart(pool, found, effect.members) if included else ():
-                tentative.append(SingleEffect((one,), effect.none))
+                effects.append(with_odds(SingleEffect((one,), effect.none), one.log_odds))
                 causes = (*causes, one.cause)
         first: list[Cause] = []
         if not usual and (asked > 1 or without_name):
