@@ -246,13 +246,13 @@ def nearest(value, step):
     return step * np.round(value / step)
 
 
-def mean_of_motor(record, variant):
-    """Return the mean innovation of the motor's encoder, in its steps."""
+def mean_of_load(record, variant):
+    """Return the mean innovation of the load's encoder, in its steps: the motor's finer one holds."""
     block = PlantBlock(record, variant)
     (found,) = (
         left
         for name, left in zip(block.channels, block.residuals(variant), strict=True)
-        if name == 'y_rotate_motor'
+        if name == 'y_rotate_load'
     )
     return float(np.mean(found))
 
@@ -261,11 +261,13 @@ def mean_of_motor(record, variant):
 def test_two_encoders_tell_how_they_count_and_leave_nothing(random, geared, count) -> None:
     log = two_encoders(random, geared, count)
     record = aligned_record(log, geared)
-    assert abs(mean_of_motor(record, geared)) < 0.05
+    assert abs(mean_of_load(record, geared)) < 0.05
     word = 'rounded down' if count is floor else 'rounded to the nearest'
     assert any(word in note for note in record.notes)
-    raw = mean_of_motor(record_of_measured_log(log, geared), geared)
-    half = 0.5 * (LOAD * RATIO / MOTOR - 1.0)  # by which floored counts differ, in motor steps
+    raw = mean_of_load(record_of_measured_log(log, geared), geared)
+    half = 0.5 * (
+        MOTOR / (LOAD * RATIO) - 1.0
+    )  # by which floored counts differ, in the load's steps
     assert raw == pytest.approx(half if count is floor else 0.0, abs=0.05)
 
 
@@ -278,7 +280,7 @@ def test_what_the_description_says_of_counting_is_used(random, geared) -> None:
     record = aligned_record(log, said)
     assert record.half_step[2:] == pytest.approx((0.5, 0.5))
     assert not any('as they differ' in note for note in record.notes)
-    assert abs(mean_of_motor(record, said)) < 0.05
+    assert abs(mean_of_load(record, said)) < 0.05
 
 
 @pytest.mark.parametrize(('sign', 'half'), [(1, 0.5), (-1, -0.5)])

@@ -219,12 +219,22 @@ def diagnose(
         details.verdict,
         tuple(with_titles(note) for note in details.notes),
         details,
-        reference_of(
+        _reference(model, logs, validation, details),
+    )
+
+
+def _reference(
+    model: Model, logs: Sequence[Log], validation: Sequence[Log], details: Details
+) -> LeastSquares | None:
+    """Return the least squares of logs; none where they cannot be read so, a diagnosis stands alone."""
+    try:
+        return reference_of(
             [log.measured(model) for log in logs],
             [log.measured(model) for log in validation],
             details.nominal,
-        ),
-    )
+        )
+    except UserError:
+        return None
 
 
 def _silent(what: str, done: int, total: int) -> None:

@@ -39,7 +39,10 @@ class Log:
 
     def measured(self, model: Model) -> MeasuredLog:
         """Return the signals at the times at which they were measured; raises `UserError`."""
-        return load_log(self.path, machine=model.variant.machine_text, name=self.name)
+        variant = model.variant
+        return load_log(
+            self.path, model=variant.model(), machine=variant.machine_text, name=self.name
+        )
 
     def to_dataframe(self, model: Model) -> pd.DataFrame:
         """

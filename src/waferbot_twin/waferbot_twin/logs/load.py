@@ -26,7 +26,7 @@ from waferbot_twin.logs.mapping import LogMapping, TimeSource, load_mapping
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.logs.parquet import read_parquet
 from waferbot_twin.logs.text import read_list, read_text
-from waferbot_twin.models import load_model, recorded_model
+from waferbot_twin.models import Model, load_model, recorded_model
 from waferbot_twin.recording.reader import Content, recording_files, recording_of
 
 ARRAYS = ('.npy', '.npz', '.mat')
@@ -36,7 +36,7 @@ JSON = ('.jsonl', '.ndjson', '.json')
 def load_log(
     path: Path | str,
     mapping: Path | str | LogMapping | None = None,
-    model: str | None = None,
+    model: str | Model | None = None,
     machine: str | None = None,
     part: int | None = None,
     name: str | None = None,
@@ -46,9 +46,9 @@ def load_log(
 
     `mapping` is a mapping file (or the name of a shipped one); text and arrays need it, recordings
     with the contract's topics or joint states do not. `model` gives the settings behind the
-    contract's topics where the recording does not hold them (or holds others), `machine` the
-    description behind counts and names of joints. `part` replaces that of the mapping, `name` the
-    log's own.
+    contract's topics: by name or file also where the recording holds others, a `Model` only where it
+    holds none. `machine` gives the description behind counts and names of joints. `part` replaces that
+    of the mapping, `name` the log's own.
 
     Raises `UserError` if nothing usable is left; see `build.finish`.
     """
@@ -138,7 +138,7 @@ def _companion(path: Path, mapping: LogMapping) -> tuple[Columns | None, list[Fi
 def _from_bag(
     path: Path,
     mapping: LogMapping | None,
-    model: str | None,
+    model: str | Model | None,
     machine: str | None,
     name: str | None,
 ) -> MeasuredLog:
@@ -177,7 +177,7 @@ def _from_bag(
 
 
 def _from_contract(
-    path: Path, content: Content, model: str | None
+    path: Path, content: Content, model: str | Model | None
 ) -> tuple[Collected, dict[str, float]]:
     """Return the signals in the contract's topics, and the drives' peak currents."""
     recording = recording_of(path, recording_files(path)[0], content)
@@ -188,7 +188,12 @@ def _from_contract(
             f'{path}: does not hold the settings of controller and amplifiers, without which counts '
             'and phase currents cannot be turned into metres and force; give --model'
         )
-    chosen = load_model(model) if model else recorded_model(recording)
+    if isinstance(model, str):
+        chosen = load_model(model)
+    elif model is None or 'model.yaml' in recording.attachments:
+        chosen = recorded_model(recording)
+    else:
+        chosen = model
     controls = controls_of(chosen, recording.timing, str(path))
     taken = ContractSignals(recording, controls)
     peaks = {axis: float(controls.amplifier['peak_limit'][row]) for row, axis in enumerate(AXES)}
