@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -115,6 +116,7 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
     monkeypatch.setattr(elimination, 'log_evidence', evidence)
     pool = SimpleNamespace(**vars(POOL), workers=1)
     one, two, three, four = (effect_of(cause) for cause in every)
+    four = replace(four, none=0.3)
     found, left = elimination.evident(
         pool, SimpleNamespace(causes=every), [one, four], [two, three]
     )
@@ -122,6 +124,7 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
     assert [cause.name for cause in found.causes] == ['one:x', 'two:x', 'four:x']
     assert asked == ['one:x', 'two:x', 'three:x']  # least evident first, four was asked for before
     assert left[0].inclusion == pytest.approx(1.0 / (1.0 + np.exp(-12.0)))
+    assert left[1].inclusion == pytest.approx(left[0].inclusion)  # more evident than the first
 
 
 def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):

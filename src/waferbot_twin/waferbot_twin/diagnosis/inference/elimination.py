@@ -35,8 +35,8 @@ def evident(
 
     Backward elimination: the one that the linear problem finds least evident goes first, the rest is
     fitted anew without it. Where the logs then want it back, those that were asked for before are
-    evident, too. What came along (`tentative`) was never asked for: each of these has to be wanted back
-    itself.
+    evident, too, with these odds at least: their own may be from beside other causes. What came along
+    (`tentative`) was never asked for: each of these has to be wanted back itself.
     """
     problem, left = pool.problem, [*effects, *tentative]
     open_ones = {one.best.cause.name for one in left}
@@ -57,7 +57,13 @@ def evident(
         open_ones.discard(name)
         if odds > log_odds_at(pool.settings.included_from):
             odds_of[name] = odds
-            open_ones &= {one.best.cause.name for one in tentative}
+            asked = open_ones - {one.best.cause.name for one in tentative}
+            odds_of |= {
+                one.best.cause.name: max(odds, float(logit(one.inclusion)))
+                for one in left
+                if one.best.cause.name in asked
+            }
+            open_ones -= asked
         else:
             left = [one for one in left if one.best.cause.name != name]
             found = base
