@@ -14,10 +14,7 @@ LOCK = requirements/lock-python$(shell $(PYTHON) -c 'import sys; print("%d.%d" %
 
 RUN := ./waferbot --exec
 # Files in the order of conftest.py, which puts long ones first; xdist's own is by the number of tests.
-IN_FILES := --dist loadfile --no-loadscope-reorder
-SIDE_BY_SIDE := --numprocesses auto $(IN_FILES)
-# ROS processes wait for one another much of the time: one more at work than there are cores.
-ONE_MORE = --numprocesses $$(($$(nproc) + 1)) $(IN_FILES)
+SIDE_BY_SIDE := --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: help build demo test test-fast lint bench bench-diagnosis bench-endurance bench-fuzz docs audit lock clean
 
@@ -60,7 +57,7 @@ lint: build
 # Side by side on all cores, but for those that ask for the wall clock or a certain ROS domain.
 test: lint
 	$(RUN) pytest $(SIDE_BY_SIDE) src
-	$(RUN) pytest $(ONE_MORE) -m 'not alone' tests
+	$(RUN) pytest $(SIDE_BY_SIDE) -m 'not alone' tests
 	$(RUN) pytest -m alone tests
 
 test-fast: lint
