@@ -697,7 +697,7 @@ def test_the_demonstration_is_that_of_the_command_without_ros(monkeypatch):
         return SimpleNamespace(details=found)
 
     monkeypatch.setattr(waferbot, 'diagnose', diagnose)
-    monkeypatch.setattr(demonstration, 'as_dict', lambda found: found)
+    monkeypatch.setattr(demonstration, 'as_dict', lambda found, quick: found)
     done = trial.run(Case('demo', (), 0, 77), 'rigid', False)
     assert done['outcome'] == 'all names true', done.get('reason')
     assert asked == [('rigid', ['moves', 'random_steps'], ['steps'])]
@@ -796,7 +796,7 @@ def run_with(monkeypatch, case, say):
     """The line of a case whose diagnosis is `say(laid, without)`."""
     laid = trial._laid(case, 'rigid')
     monkeypatch.setattr(trial, 'diagnose', lambda *given: say(laid, given[5]))
-    monkeypatch.setattr(trial, 'as_dict', lambda found: found)
+    monkeypatch.setattr(trial, 'as_dict', lambda found, quick: found)
     return laid, trial.run(case, 'rigid', False)
 
 
