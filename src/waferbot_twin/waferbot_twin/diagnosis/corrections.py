@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from waferbot_twin.diagnosis.findings import lies_on_bound
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.residuals.prior_block import KNOWN_FROM
@@ -28,9 +29,6 @@ if TYPE_CHECKING:
 
 TOLD_BELOW = 0.9
 """Standard error over that of the prior below which logs tell a parameter: a fifth of what is known."""
-
-ON_BOUND = 1e-6
-"""Distance from a bound, over all that is possible, within which a value lies on it."""
 
 
 @dataclass(frozen=True)
@@ -91,5 +89,5 @@ def _stated(correction: Correction, item: Parameter, x: float, scale: float) -> 
         min(max(correction.low, ends[0]), correction.found),
         max(min(correction.high, ends[1]), correction.found),
         abs(error) < TOLD_BELOW * scale * item.spread,
-        min(abs(x - item.low), abs(x - item.high)) <= ON_BOUND * (item.high - item.low),
+        lies_on_bound(item, x),
     )

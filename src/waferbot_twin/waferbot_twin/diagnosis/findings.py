@@ -42,9 +42,13 @@ def within_bounds(found: FoundCause, item: Parameter) -> tuple[float, float] | N
 
 def on_bound(found: FoundCause, item: Parameter) -> bool:
     """Return whether a fitted parameter lies on a bound of what is physically possible."""
-    if item.name in found.cause.held:
-        return False
-    value, near = found.cause.values[item.name], ON_BOUND * (item.high - item.low)
+    name = item.name
+    return name not in found.cause.held and lies_on_bound(item, found.cause.values[name])
+
+
+def lies_on_bound(item: Parameter, value: float) -> bool:
+    """Return whether a value is as small or as large as a parameter can be."""
+    near = ON_BOUND * (item.high - item.low)
     return min(abs(value - item.low), abs(value - item.high)) <= near
 
 

@@ -24,9 +24,9 @@ LOSES = (
 
 
 def refuted(cause: Cause) -> str:
-    """Say that the validation data refute a cause, each block alone."""
+    """Say that the validation data refute a cause, as the estimation data predict them."""
     return (
-        f'{title(cause)} was withdrawn: with values of the estimation data, '
+        f'{title(cause)} was withdrawn: by what the estimation data predict, '
         'the validation data refute it'
     )
 

@@ -100,8 +100,9 @@ def test_what_lets_a_part_go_is_judged_in_its_own_noise():
     """
     What it gains as it is counts as that of two models of which each has the noise that it leaves.
 
-    In the noise of the rigid model alone a true belt promised nothing: it leaves a quarter of the load's
-    error and, where the motor's friction lacks as well, three times the motor's.
+    In the noise of the rigid model alone a true belt promised nothing in the demonstration: it left 23
+    of 641 counts of the load's error but, where the motor's friction lacks as well, 121 for 23 of the
+    motor's.
     """
     nominal = Variant.of(load_model('rigid'))
     belt, teeth = find('belt_compliance'), find('transmission_error')

@@ -114,7 +114,8 @@ def candidates(
     """
     Return every effect on every axis where the logs could show it, with none of it yet.
 
-    `axes_of` an effect in the nominal model are those where no other effect does exactly the same.
+    `axes_of` says on which axes of the nominal model an effect is tried: where no other effect does
+    exactly the same, if nothing else is said.
     """
     found: list[Cause] = []
     for effect in effects:
