@@ -61,7 +61,9 @@ def left_over(random, counts, error):
     )
 
 
-@pytest.mark.parametrize(('period', 'amplitude'), [(45.3, 0.3), (137.0, 0.3), (410.0, 2.0)])
+@pytest.mark.parametrize(
+    ('period', 'amplitude'), [(45.3, 0.3), (137.0, 0.3), (410.0, 2.0), (1150.0, 15.0)]
+)
 def test_a_period_is_found_whatever_the_speed_does(period, amplitude):
     """A long one is a slow error, most of which the observer holds."""
     seed = 20261130
