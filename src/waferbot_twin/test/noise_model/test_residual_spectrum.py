@@ -90,7 +90,7 @@ def test_intervals_by_the_covariance_of_a_fit_hold_the_truth(noise):
         channels = [NOISE[noise](random)]
         found = fit(channels, [signatures], [Noise(1e-9, ORDER)])
         system, _ = whitened(channels, [signatures], found.colours)
-        error = np.sqrt(np.diag(np.linalg.inv(information(system, found))))
+        error = np.sqrt(np.diag(np.linalg.inv(information([system], found))))
         inside += np.abs(found.value) < student(FEWEST_FREEDOM).ppf(0.975) * error
     print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')
     assert np.all((inside >= FEWEST) & (inside <= MOST))

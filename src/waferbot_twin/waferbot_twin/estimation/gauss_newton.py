@@ -168,7 +168,7 @@ def _covariance(problem: Problem, now: Hypothesis, signatures: Sequence[Signatur
     together = _together(problem, now, signatures)
     estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
     rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
-    return posterior_covariance(information(np.vstack(rows), estimate), _prior(problem, now))
+    return posterior_covariance(information(rows, estimate), _prior(problem, now))
 
 
 def _corrected(

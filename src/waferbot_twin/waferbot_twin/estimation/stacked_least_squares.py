@@ -27,15 +27,13 @@ Residuals = Mapping[str, Sequence[Array]]
 def side_by_side(signatures: Sequence[Signature], counts: Sequence[int]) -> Signature:
     """Return the signature of several causes with `counts` parameters each; zero where one has none."""
     rows = {block: len(matrix) for item in signatures for block, matrix in item.items()}
-    return {
-        block: np.hstack(
-            [
-                item.get(block, np.zeros((rows[block], count)))
-                for item, count in zip(signatures, counts, strict=True)
-            ]
-        )
-        for block in sorted(rows)
-    }
+    firsts = np.cumsum([0, *counts])
+    # Column by column, as it is filtered.
+    found = {block: np.zeros((rows[block], firsts[-1]), order='F') for block in sorted(rows)}
+    for item, first, count in zip(signatures, firsts, counts, strict=False):
+        for block, matrix in item.items():
+            found[block][:, first : first + count] = matrix
+    return found
 
 
 def by_channel(matrix: Array, channels: Sequence[Array]) -> list[Array]:

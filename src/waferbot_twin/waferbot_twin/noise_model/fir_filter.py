@@ -19,15 +19,14 @@ Array = NDArray[np.float64]
 
 def filtered(taps: Array, channel: Array) -> Array:
     """Return y[p] ... y[N - 1], p = len(taps) - 1, of a channel (N,) or each column of (N, k)."""
-    left = np.zeros((max(len(channel) - len(taps) + 1, 0), *channel.shape[1:]))
+    left = np.zeros((*channel.shape[:0:-1], max(len(channel) - len(taps) + 1, 0)))
+    columns = np.ascontiguousarray(channel.T)
     if channel.ndim == 1:
-        _add_tap_by_tap(taps, np.ascontiguousarray(channel), left)
+        _add_tap_by_tap(taps, columns, left)
     else:
-        for place, column in enumerate(np.ascontiguousarray(channel.T)):
-            own = np.zeros(len(left))
+        for column, own in zip(columns, left, strict=True):
             _add_tap_by_tap(taps, column, own)
-            left[:, place] = own
-    return left
+    return left.T
 
 
 @compiled

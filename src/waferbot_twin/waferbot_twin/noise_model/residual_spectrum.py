@@ -22,6 +22,7 @@ VII.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,6 +38,9 @@ Array = NDArray[np.float64]
 
 FEWEST = 4
 """Lines that are averaged on either side at the lowest frequencies."""
+
+KEPT = 4_000_000
+"""Values of cosines that are kept for logs of one length: more are summed by a transform."""
 
 BAND = 0.25
 """Half of a band, as a share of its middle frequency."""
@@ -91,7 +95,17 @@ class Whitening:
 
 def on_cosines(samples: Array, count: int) -> Array:
     """Return the sums of samples (N,) or (N, k) with the first K cosines, each of mean square 1."""
+    count = min(count, len(samples) - 1)
+    if count * len(samples) <= KEPT:
+        return np.asarray(_cosines(len(samples), count) @ samples)
     return np.asarray(dct(samples, axis=0)[1 : count + 1] / math.sqrt(2.0), np.float64)
+
+
+@functools.lru_cache(8)
+def _cosines(samples: int, count: int) -> Array:
+    """Return the first K cosines over N samples, (K, N): for few a third of the time of a transform."""
+    middles = (np.arange(samples) + 0.5) * (math.pi / samples)
+    return math.sqrt(2.0) * np.cos(np.outer(np.arange(1, count + 1), middles))
 
 
 @dataclass(frozen=True)
@@ -179,9 +193,9 @@ def power_along(
     return Power(noisy / total, noisy**2 / uncertain if uncertain > 0.0 else math.inf)
 
 
-def information(system: Array, estimate: Fit) -> Array:
+def information(systems: Sequence[Array], estimate: Fit) -> Array:
     """
-    Return what white rows A, `system` (N, k), say of what is fitted to them with a joint fit: (k, k).
+    Return what white rows A_c (N, k) of all channels say of what is fitted to them jointly: (k, k).
 
     Least squares with noise that is not as assumed have the sandwich covariance
 
@@ -191,10 +205,9 @@ def information(system: Array, estimate: Fit) -> Array:
     channel A_c' A_c. This is its inverse, zero along what A does not show (`gram.spanning`). Noise has
     the share SMALLEST^2 of the power that the noise model says at least.
     """
-    products = system.T @ system
+    products = np.sum([part.T @ part for part in systems], axis=0)
     noisy = np.zeros_like(products)
-    parts = np.split(system, np.cumsum([len(white) for white in estimate.whitened])[:-1])
-    for part, white, one in zip(parts, estimate.whitened, estimate.colours, strict=True):
+    for part, white, one in zip(systems, estimate.whitened, estimate.colours, strict=True):
         if one.error.order:
             projected = on_cosines(part * white[:, None], one.freedom)
             noisy += projected.T @ projected / one.freedom

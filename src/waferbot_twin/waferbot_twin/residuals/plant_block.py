@@ -151,6 +151,10 @@ class PlantBlock:
             self.rates_hz.append(rate_hz / group)
             self._common_steps.append(common_step(record.reading[:, place]))
             floors.append(FLOOR_STEPS * record.resolution[place] / math.sqrt(group))
+        self._begins = {
+            place: record.first_motion(place, 1.0 / self._observer_hz[place])
+            for place in self._places
+        }
         shortest = min((len(samples) for samples in self._samples), default=0)
         self.order = min(type(self).order, max(1, shortest // SAMPLES_PER_TAP))
         self.noises = [
@@ -293,7 +297,7 @@ class PlantBlock:
                 f'{record.name}: the plant blew up when driven by the measured currents'
             )
         return [
-            innovation[rows, place].mean(axis=1)
+            _means(innovation, rows, place)
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
 
@@ -370,7 +374,7 @@ class PlantBlock:
         for place in self._places:
             if not together[place].any() or behind[place, 0] >= 0:
                 continue
-            start, slope = self.record.first_motion(place, 1.0 / self._observer_hz[place])
+            start, slope = self._begins[place]
             per_unit = p['counts_per_unit'][place]
             coordinate = p['encoder_coordinate'][place]
             missing = start / per_unit - s['position'][coordinate]
@@ -405,6 +409,15 @@ def _joint(p: np.void, one: int, other: int) -> int:
         if one != other and ends == {one, other}:
             return spring
     return -1
+
+
+@compiled
+def _means(innovation, rows, place):
+    means = np.zeros(len(rows))
+    for sample in range(len(rows)):
+        for row in rows[sample]:
+            means[sample] += innovation[row, place]
+    return means / rows.shape[1]
 
 
 def _samples(
