@@ -157,7 +157,7 @@ def diagnose(
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
     to_estimate = Problem(nominal, estimation).with_prior(paths, settings.prior_scales)
-    estimated = fitted_to(to_estimate, posterior.found.causes)
+    estimated = fitted_to(to_estimate, posterior.found.causes, workers)
     prediction = Prediction(
         (problem, posterior.found), (to_estimate, estimated), settings, workers
     )

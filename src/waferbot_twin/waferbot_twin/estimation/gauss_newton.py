@@ -133,7 +133,7 @@ def fit_causes(
     errors: Array | None = None
     for _ in range(rounds if names else 0):
         if not signatures:
-            signatures = _anew(problem, now, workers, known, errors)
+            signatures = all_signatures(problem, now, workers, known, errors)
             fresh, coarse = True, errors is None
         linear, seen = linearise(problem, now, signatures), signatures
         errors = _conditional_errors(linear)
@@ -159,7 +159,7 @@ def fit_causes(
         return now
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
-        seen = _anew(problem, now, workers, known, errors)
+        seen = all_signatures(problem, now, workers, known, errors)
     return replace(now, covariance=_covariance(problem, now, seen))
 
 
@@ -396,12 +396,12 @@ def _prior(problem: Problem, now: Hypothesis) -> Array:
     return np.concatenate([precision(problem, cause) for cause in now.causes])
 
 
-def _anew(
+def all_signatures(
     problem: Problem,
     now: Hypothesis,
-    workers: int,
-    known: Sequence[Signature],
-    errors: Array | None,
+    workers: int = 1,
+    known: Sequence[Signature] = (),
+    errors: Array | None = None,
 ) -> list[Signature]:
     """
     Return the signatures of all causes, the first ones `known`, with as many workers as there are.

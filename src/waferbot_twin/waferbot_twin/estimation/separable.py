@@ -10,13 +10,14 @@ are simulated for it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_twin.estimation.gauss_newton import ENOUGH, fit_causes
+from waferbot_twin.estimation.gauss_newton import ENOUGH, ROUNDS, fit_causes
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
+from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
 
@@ -45,21 +46,25 @@ def components(problem: Problem, causes: Sequence[Cause]) -> list[Component]:
 
 
 def fitted_apart(
-    problem: Problem, causes: tuple[Cause, ...], workers: int = 1, enough: float = ENOUGH
+    problem: Problem,
+    causes: tuple[Cause, ...],
+    workers: int = 1,
+    enough: float = ENOUGH,
+    known: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
-    A fit ends where a round gains less than `enough` in ln L. Raises `UserError` if the simulation blows
-    up where a fit begins.
+    A fit ends where a round gains less than `enough` in ln L. `known` are signatures of all causes by
+    name that were found near here. Raises `UserError` if the simulation blows up where a fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
     for one in components(problem, causes):
         own = tuple(causes[place] for place in one.places)
-        parts.append(
-            (one.places, fit_causes(problem.only(one.blocks), own, workers=workers, enough=enough))
-        )
+        signatures = [known[cause.name] for cause in own] if known else []
+        fit = fit_causes(problem.only(one.blocks), own, ROUNDS, workers, enough, signatures)
+        parts.append((one.places, fit))
         untouched -= one.blocks
     return joined(problem, [*parts, ((), evaluate(problem.only(untouched)))])
 
@@ -118,18 +123,25 @@ def refined(
 
 
 def fitted_without(
-    problem: Problem, found: Hypothesis, place: int, workers: int = 1, enough: float = ENOUGH
+    problem: Problem,
+    found: Hypothesis,
+    place: int,
+    workers: int = 1,
+    enough: float = ENOUGH,
+    known: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return a hypothesis without one of its causes, what belonged together with that fitted anew.
 
+    `known` as in `fitted_apart`.
     Raises `UserError` if the machine does not stand without it.
     """
     one = next(c for c in components(problem, found.causes) if place in c.places)
     beside = [other for other in one.places if other != place]
     others = [other for other in range(len(found.causes)) if other not in one.places]
     own = problem.only(one.blocks)
-    again = fitted_apart(own, tuple(found.causes[other] for other in beside), workers, enough)
+    kept = tuple(found.causes[other] for other in beside)
+    again = fitted_apart(own, kept, workers, enough, known)
     rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
 
     def moved_up(places: Sequence[int]) -> list[int]:

@@ -59,10 +59,10 @@ class Extension:
         return self.mean_square > 1.0 + tolerated
 
 
-def fitted_to(estimation: Problem, causes: tuple[Cause, ...]) -> Hypothesis:
+def fitted_to(estimation: Problem, causes: tuple[Cause, ...], workers: int = 1) -> Hypothesis:
     """Return causes fitted to these logs, as they are where they do not stand there."""
     try:
-        return fit_causes(estimation, causes)
+        return fit_causes(estimation, causes, workers=workers)
     except UserError:
         return evaluate(estimation, causes)
 

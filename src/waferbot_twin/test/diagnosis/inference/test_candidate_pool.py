@@ -71,6 +71,6 @@ def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
         assert names.intersection(before) == (set(before) if offered else set())
     for name, of_axis in before.items():
         found = evaluate(problem, (belt, typical(of_axis)))
-        assert name in {one.effect.name for one in pool.could_stand_for(found)}
+        assert name in {item.cause.effect.name for item in pool.in_place_of(found)}
         alone = evaluate(problem, (typical(of_axis),))
-        assert name not in {one.effect.name for one in pool.could_stand_for(alone)}
+        assert name not in {item.cause.effect.name for item in pool.in_place_of(alone)}

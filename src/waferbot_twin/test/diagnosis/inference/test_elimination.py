@@ -95,25 +95,17 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
     """The linear problem is wrong of what was asked for, so it is not relied on for the others."""
     every = tuple(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES)
     by_linear = {'one:x': -9.0, 'two:x': 50.0, 'three:x': 60.0, 'four:x': 40.0}
-    by_logs = {'one:x': 15.0, 'two:x': 20.0, 'three:x': -5.0, 'four:x': 99.0}
+    by_logs = {'one:x': 12.0, 'two:x': 17.0, 'three:x': -8.0, 'four:x': 96.0}
     asked = []
 
-    def without(problem, found, names, workers=1):
-        asked.extend(names)
-        return SimpleNamespace(causes=tuple(c for c in found.causes if c.name not in names))
-
-    def evidence(problem, more, fewer, scales):
-        return by_logs[more.causes[-1].name]
-
-    def last(problem, found, name):
-        own = [cause for cause in found.causes if cause.name == name]
-        return SimpleNamespace(causes=(*(c for c in found.causes if c.name != name), *own))
+    def odds_beside(pool, found, name):
+        asked.append(name)
+        kept = tuple(cause for cause in found.causes if cause.name != name)
+        return by_logs[name], SimpleNamespace(causes=kept)
 
     monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
     monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
-    monkeypatch.setattr(elimination, 'without', without)
-    monkeypatch.setattr(elimination, 'with_last', last)
-    monkeypatch.setattr(elimination, 'log_evidence', evidence)
+    monkeypatch.setattr(elimination, '_odds_beside', odds_beside)
     pool = SimpleNamespace(**vars(POOL), workers=1)
     one, two, three, four = (effect_of(cause) for cause in every)
     four = replace(four, none=0.3)
@@ -125,6 +117,40 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
     assert asked == ['one:x', 'two:x', 'three:x']  # least evident first, four was asked for before
     assert left[0].inclusion == pytest.approx(1.0 / (1.0 + np.exp(-12.0)))
     assert left[1].inclusion == pytest.approx(left[0].inclusion)  # more evident than the first
+
+
+@pytest.mark.parametrize(
+    ('gained', 'at_first', 'fits', 'odds'),
+    [
+        (4.0, 20.0, 1, 17.0),  # plain even if another fit gained as much again
+        (18.0, 20.0, 2, 1.0),  # not plain: the signatures without the cause have the last word
+        (0.0, 2.0, 2, 1.0),
+    ],
+)
+def test_a_second_fit_is_made_where_it_may_change_the_answer(
+    monkeypatch, gained, at_first, fits, odds
+):
+    """With the signatures as they are with a cause, a fit without it is quick, and not the best."""
+    found = least_squares(np.eye(4), np.ones(4), NAMES)
+    made = []
+
+    def without(problem, found, names, workers=1, known=None):
+        made.append(known)
+        return 'with known signatures' if known else 'with its own'
+
+    evidence = {'with known signatures': at_first, 'with its own': 4.0}
+    monkeypatch.setattr(elimination, 'without', without)
+    monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
+    monkeypatch.setattr(elimination, 'log_likelihood_ratio', lambda one, other: gained)
+    monkeypatch.setattr(elimination, 'log_evidence', lambda p, more, fewer, s: evidence[fewer])
+    pool = SimpleNamespace(
+        **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
+    )
+    value, base = elimination._odds_beside(pool, found, 'one:x')
+    assert value == odds
+    assert len(made) == fits
+    assert made[0].keys() == {cause.name for cause in found.causes}
+    assert base == ('with its own' if fits > 1 else 'with known signatures')
 
 
 def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):

@@ -45,12 +45,11 @@ from waferbot_twin.diagnosis.proposals.screening import (
 )
 from waferbot_twin.effects.effect import Effect
 from waferbot_twin.estimation.conditional import conditional_errors
+from waferbot_twin.estimation.gauss_newton import all_signatures
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     in_quick_steps,
-    parameters_of,
-    signature,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
@@ -210,17 +209,22 @@ class CandidatePool:
         (`screening.alike`).
         """
         problem = self.problem
-        near = self.could_stand_for(found)
+        of_others = self.signatures_of(found)[:-1]
+        near = self.could_stand_for(found, of_others)
         if not near:
             return []
-        base, of_others = evaluate(problem, found.causes[:-1]), self.signatures_of(found)[:-1]
+        base = evaluate(problem, found.causes[:-1])
         changes = signatures(problem, base, near, self.workers, self.progress)
         return screen(
             problem, base, near, changes, of_others, self.settings.prior_scales, self.workers
         )
 
-    def could_stand_for(self, found: Hypothesis) -> list[Cause]:
-        """Return which candidates can stand for the last cause of a hypothesis (`in_place_of`)."""
+    def could_stand_for(self, found: Hypothesis, of_others: Sequence[Signature]) -> list[Cause]:
+        """
+        Return which candidates can stand for the last cause of a hypothesis (`in_place_of`).
+
+        `of_others` are the signatures of its other causes.
+        """
         problem, cause = self.problem, found.causes[-1]
         try:
             base = evaluate(problem, found.causes[:-1])
@@ -232,7 +236,6 @@ class CandidatePool:
             - np.concatenate(found.residuals[block])[:, None]
             for block in blocks
         }
-        of_others = self.signatures_of(found)[:-1]
         taken = {one.name for one in found.causes}
         rivals = [
             (one, change)
@@ -305,17 +308,9 @@ class CandidatePool:
             while len(self._of_base) >= KEPT:
                 self._of_base.pop(next(iter(self._of_base)))
             quick, begun = in_quick_steps(self.problem, base)
-            counts = [len(parameters_of(self.problem, cause)) for cause in base.causes]
-            errors = conditional_errors(base)
-            of_each = (
-                [None] * len(counts)
-                if errors is None
-                else np.split(errors, np.cumsum(counts)[:-1])
-            )
-            self._of_base[key] = {
-                cause.name: signature(quick, begun, base.causes, place, own)
-                for place, (cause, own) in enumerate(zip(base.causes, of_each, strict=True))
-            }
+            found = all_signatures(quick, begun, self.workers, errors=conditional_errors(base))
+            names = [cause.name for cause in base.causes]
+            self._of_base[key] = dict(zip(names, found, strict=True))
         return [self._of_base[key][cause.name] for cause in base.causes]
 
     def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:

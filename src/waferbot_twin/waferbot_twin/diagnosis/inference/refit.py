@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -119,13 +119,18 @@ def to_the_end(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothe
 
 
 def without(
-    problem: Problem, found: Hypothesis, names: Collection[str], workers: int = 1
+    problem: Problem,
+    found: Hypothesis,
+    names: Collection[str],
+    workers: int = 1,
+    known: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return a hypothesis without some causes, the others fitted anew.
 
     From where the linear problem has them (`estimation.conditional`), or from where they are if that is
-    more probable. Not fitted where the machine stands with neither.
+    more probable. Not fitted where the machine stands with neither. With the signatures of `found` by
+    name (`known`) that costs few simulations.
     """
     places = [place for place, cause in enumerate(found.causes) if cause.name in names]
     kept = [place for place in range(len(found.causes)) if place not in places]
@@ -134,12 +139,12 @@ def without(
     once = each_once(problem, start)
     try:
         if once != start or len(places) > 1:
-            return fitted_apart(problem, once, workers, ENOUGH)
+            return fitted_apart(problem, once, workers, ENOUGH, known)
         causes = list(found.causes)
         for place, cause in zip(kept, start, strict=True):
             causes[place] = cause
         moved_on = replace(found, causes=tuple(causes))
-        return fitted_without(problem, moved_on, places[0], workers, ENOUGH)
+        return fitted_without(problem, moved_on, places[0], workers, ENOUGH, known)
     except UserError:
         return evaluate(problem, as_they_are)
 

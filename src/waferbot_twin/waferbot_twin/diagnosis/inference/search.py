@@ -4,11 +4,12 @@ The search for effects: one after the other, then all again.
 
 Effects are added as long as one is more probable than not (`settings`); what is not evident beside all
 that was found goes again (`elimination`). Then each is asked for anew beside all others, as often as one
-changes: an early choice is revised when the others are known. The posterior of each is that of
-`single_effects`, from fits through the simulation for every candidate that the linear problem puts
-within reach (`refit`). What no physical cause explains competes with them: forces over speed and
-position of an axis without a name (`discrepancy`). Last, what the closed loop has made of noise is taken
-out (`instrument`).
+changes: an early choice is revised when the others are known. Where one of those that were asked for has
+gone, what it stood for may still lack: more are added, and so on (stepwise selection). The posterior of
+each is that of `single_effects`, from fits through the simulation for every candidate that the linear
+problem puts within reach (`refit`). What no physical cause explains competes with them: forces over
+speed and position of an axis without a name (`discrepancy`). Last, what the closed loop has made of
+noise is taken out (`instrument`).
 """
 
 from __future__ import annotations
@@ -71,11 +72,16 @@ def infer(pool: CandidatePool) -> Posterior:
     pool.begin(nothing)
     found, effects = nothing, list[SingleEffect]()
     most = pool.settings.most_asked
+    seen = set[frozenset[str]]()
     while True:
-        found, effects, asked = _ask_on(pool, found, effects, most)
+        found, effects, wanted, asked = _ask_on(pool, found, effects, most, usual=bool(seen))
         most -= asked
         found, effects, asked = _ask_again(pool, found, effects, most)
         most -= asked
+        names = frozenset(cause.name for cause in found.causes)
+        if most > 0 and not names.issuperset(wanted) and names not in seen:
+            seen.add(names)
+            continue
         feigned, judged = _instrumented(pool, found, effects)
         if feigned is None:
             found = to_the_end(pool.problem, found, pool.workers)
@@ -86,10 +92,14 @@ def infer(pool: CandidatePool) -> Posterior:
 
 
 def _ask_on(
-    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
-) -> tuple[Hypothesis, list[SingleEffect], int]:
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: list[SingleEffect],
+    most: int,
+    usual: bool,
+) -> tuple[Hypothesis, list[SingleEffect], set[str], int]:
     """
-    Add effects as long as one is included; return how often was asked, too.
+    Add effects as long as one is included; return whatever was asked for, and how often, too.
 
     With the most probable candidate come those that are plain beside it, too (`_apart`): they were asked
     for as well, and would be found in the next rounds.
@@ -101,9 +111,9 @@ def _ask_on(
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
     (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
     found by then. A force without a name is asked for again beside them, and not there before: it would
-    do what several of them do together.
+    do what several of them do together. `usual` says that they have been there.
     """
-    asked, usual = 0, False
+    asked, along = 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = _ask(pool, found)
@@ -135,9 +145,11 @@ def _ask_on(
         else:
             found = _fitted_on(pool, best.found, (*causes, *first))
         names = {cause.name for cause in found.causes}
+        along |= {one.name for one in first}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
-    return *evident(pool, found, effects, tentative), asked
+    wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
+    return *evident(pool, found, effects, tentative), wanted, asked
 
 
 def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]) -> Hypothesis:
@@ -167,6 +179,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     """
     plain = log_odds_at(pool.settings.named_from)
     chosen, changes = [members[0]], [_change(base, members[0])]
+    known = pool.signatures_of(base)
     rest = [
         (one, _change(base, one))
         for one in members[1:]
@@ -182,7 +195,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
             break
         one, change = rest.pop(best)
         names = {item.cause.name for item in chosen}
-        if all(rival.name in names for rival in pool.could_stand_for(one.found)):
+        if all(rival.name in names for rival in pool.could_stand_for(one.found, known)):
             chosen.append(one)
         changes.append(change)
     return chosen[1:]

@@ -61,8 +61,8 @@ from waferbot_twin.residuals.record import Array
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
 
-CHUNK = 8
-"""Candidates that a worker takes at a time."""
+PARTS = 4
+"""In how many parts each worker takes candidates: to send the logs takes as long as to simulate some."""
 
 
 Values = tuple[str, tuple[tuple[str, float], ...]]
@@ -174,7 +174,8 @@ def signatures(
     None for one with which the simulation blows up.
     """
     quick, begun = in_quick_steps(problem, base)
-    chunks = [rivals[first : first + CHUNK] for first in range(0, len(rivals), CHUNK)]
+    size = math.ceil(len(rivals) / (PARTS * workers)) or 1
+    chunks = [rivals[first : first + size] for first in range(0, len(rivals), size)]
     found: list[Change | None] = []
     pool = Parallel(n_jobs=workers, return_as='generator')
     for part in pool(delayed(_signatures)(quick, begun, chunk) for chunk in chunks):
