@@ -40,7 +40,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     posterior_of,
     with_odds,
 )
-from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
+from waferbot_twin.diagnosis.proposals.screening import Screened, lets_go, untempered
 from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.hypothesis import (
@@ -175,7 +175,8 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     Return those members beside the first that are plain beside the others, too.
 
     One after the other, each by its gain in the linear problem without what those before it change. None
-    of those that another candidate could stand for: which it is has to be asked.
+    of those that another candidate could stand for: which it is has to be asked. And of an axis only one
+    that lets a part go: with that it is another machine, and what each changes alone does not add up.
     """
     plain = log_odds_at(pool.settings.named_from)
     chosen, changes = [members[0]], [_change(base, members[0])]
@@ -194,6 +195,9 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
         if odds[best] <= plain:
             break
         one, change = rest.pop(best)
+        go = [item for item in (one, *chosen) if item.cause.axis == one.cause.axis]
+        if sum(lets_go(pool.problem, base.causes, item.cause) for item in go) > 1:
+            continue
         names = {item.cause.name for item in chosen}
         if all(rival.name in names for rival in pool.could_stand_for(one.found, known)):
             chosen.append(one)
