@@ -29,7 +29,7 @@ def nominal():
 
 def told(nominal, x, error):
     """Return the row of a mass that is off by a share `x` with a standard error, all else as it was."""
-    effect, known = nuisance(nominal, [], Settings())
+    (effect,), known = nuisance(nominal, [], Settings())
     (axis,) = effect.axes(nominal)
     values = {item.name: 0.0 for item in effect.parameters(nominal, axis)}
     cause = Cause(effect, axis, {**values, PATH: x})

@@ -103,9 +103,9 @@ def fitted(machine, seed, duration_s):
     record = record_of_signals('log', twin.advance(timing.ticks(duration_s)))
     record = dataclasses.replace(record, terminals=None)
     settings = Settings()
-    dense, numbers = nuisance(rigid, [record], settings)
+    (dense,), numbers = nuisance(rigid, [record], settings)
     paths = [number.path for number in numbers]
-    problem = Problem(rigid, [record]).with_prior(paths, settings.prior_scales)
+    problem = Problem(rigid, [record]).with_prior([paths], settings.prior_scales)
     causes = (
         Cause(friction, 'x_rotate', friction.typical(rigid, 'x_rotate')),
         Cause(dense, dense.axes(rigid)[0], dict.fromkeys(paths, 0.0)),

@@ -11,7 +11,7 @@ import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.diagnosis.inference.nuisance import nuisance
+from waferbot_twin.diagnosis.inference.nuisance import nuisance, prior_groups
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -305,8 +305,8 @@ def test_effects_touch_the_blocks_that_read_what_they_change(
 def test_variants_differ_in_no_other_block_than_is_said(nominal):
     """Every number of the dense effect alone: only force constants go into the windings."""
     record = log(nominal)
-    dense, numbers = nuisance(nominal, [record], Settings())
-    problem = Problem(nominal, [record]).with_prior([item.path for item in numbers])
+    (dense,), numbers = nuisance(nominal, [record], Settings())
+    problem = Problem(nominal, [record]).with_prior(prior_groups(numbers))
     blocks = {PLANT, CONTROLLER, AMPLIFIER, WINDINGS, PRIOR}
     nothing = {item.path: 0.0 for item in numbers}
     before = dense.apply(nominal, 'y_linear', nothing)

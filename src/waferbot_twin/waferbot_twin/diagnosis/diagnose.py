@@ -22,7 +22,12 @@ from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
-from waferbot_twin.diagnosis.inference.nuisance import corrections, is_nuisance, nuisance
+from waferbot_twin.diagnosis.inference.nuisance import (
+    corrections,
+    is_nuisance,
+    nuisance,
+    prior_groups,
+)
 from waferbot_twin.diagnosis.inference.prediction import Prediction
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -151,12 +156,12 @@ def diagnose(
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
-    paths = [item.path for item in numbers]
-    problem = Problem(nominal, records).with_prior(paths, settings.prior_scales)
-    effects = [*offered_effects(problem, without), *tables(nominal, records), dense]
+    groups = prior_groups(numbers)
+    problem = Problem(nominal, records).with_prior(groups, settings.prior_scales)
+    effects = [*offered_effects(problem, without), *tables(nominal, records), *dense]
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
-    to_estimate = Problem(nominal, estimation).with_prior(paths, settings.prior_scales)
+    to_estimate = Problem(nominal, estimation).with_prior(groups, settings.prior_scales)
     estimated = fitted_to(to_estimate, posterior.found.causes, workers)
     prediction = Prediction(
         (problem, posterior.found), (to_estimate, estimated), settings, workers

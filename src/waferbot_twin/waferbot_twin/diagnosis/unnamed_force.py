@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.residuals.problem import Problem, apply_all
 from waferbot_twin.validation.gain import AxisGain, gains
 from waferbot_twin.validation.holdout import fitted_to
@@ -33,10 +34,9 @@ def gains_with_it(diagnosis: Diagnosis) -> list[AxisGain]:
         return []
     nominal, records = diagnosis.nominal, diagnosis.problem.records
     usual = [
-        item.name
+        [item.name for item in cause.effect.parameters(nominal, cause.axis)]
         for cause in causes
-        for item in cause.effect.parameters(nominal, cause.axis)
-        if item.spread > 0.0
+        if is_nuisance(cause)
     ]
     count = len(diagnosis.estimation)
     estimation = Problem(nominal, records[:count])

@@ -98,11 +98,11 @@ class Effect:
     it is `tried_at` so many times its typical size, if a little of it says nothing of more; one that
     grows in proportion, but only once a part has let go, `begins_at` a share of its typical size.
     `tone` is the shape parameter that is a frequency, if the effect is there at this one and nowhere
-    else; `cycle` is that which is a period in counts of the axis' encoder. One whose name says that it
-    repeats along the way `repeats_after` a length, m or rad of its axis (0: never). Of a `usual` one
-    every machine has some. One that is `evident` stands in the readings themselves, and no noise
-    feigns it. Where one is not `distinct` in a model, the effects `same_as` together do exactly the same
-    and stand for it.
+    else; `cycle` is that which is a period of the axis' encoder, in counts or its unit. One whose name
+    says that it repeats along the way `repeats_after` a length, m or rad of its axis (0: never). Of a
+    `usual` one every machine has some. One that is `evident` stands in the readings themselves, and no
+    noise feigns it. Where one is not `distinct` in a model, the effects `same_as` together do exactly
+    the same and stand for it.
     """
 
     name: str

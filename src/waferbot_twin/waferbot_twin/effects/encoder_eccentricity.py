@@ -16,4 +16,5 @@ EFFECT = sensors.eccentricity_effect(
     'periodic error of the encoder: eccentric disc, uneven scale',
     sensors.measured_axes,
     sensors.of_axis,
+    cycle='period',
 )

@@ -100,9 +100,13 @@ def longest_delay(variant: Variant, encoder: Encoder) -> float:
 
 
 def eccentricity_effect(
-    name: str, summary: str, axes: Callable[[Variant], tuple[str, ...]], encoder_of: EncoderOf
+    name: str,
+    summary: str,
+    axes: Callable[[Variant], tuple[str, ...]],
+    encoder_of: EncoderOf,
+    cycle: str = '',
 ) -> Effect:
-    """Return the effect of a periodic error of an encoder along the way."""
+    """Return the effect of a periodic error of an encoder along the way; `cycle` as in `Effect`."""
 
     def repeats_after(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
         at_motor = encoder_of(variant, axis).coordinate == places.motor_coordinate(variant, axis)
@@ -158,6 +162,7 @@ def eccentricity_effect(
         trials,
         equation='x_shown = x + cosine cos kx + sine sin kx, k = 2 pi / period',
         repeats_after=repeats_after,
+        cycle=cycle,
     )
 
 

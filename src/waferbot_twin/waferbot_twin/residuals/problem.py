@@ -226,16 +226,17 @@ class Problem:
         other.blocks = {**self.blocks, PLANT: coloured}
         return other
 
-    def with_prior(self, names: Sequence[str], scales: Sequence[float] = ()) -> Problem:
+    def with_prior(self, groups: Sequence[Sequence[str]], scales: Sequence[float] = ()) -> Problem:
         """
-        Return the same problem with the prior of parameters that have a usual spread.
+        Return the same problem with the prior of groups of parameters that have a usual spread.
 
         And with that of the sizes of all effects, of so many `scales` (`estimation.size_prior`).
         """
         other = copy.copy(self)
         other.size_scales = tuple(scales)
-        if names:
-            other.blocks = {**self.blocks, PRIOR: [PriorBlock(self.records[0], names)]}
+        if groups:
+            priors: list[BlockOfLog] = [PriorBlock(self.records[0], names) for names in groups]
+            other.blocks = {**self.blocks, PRIOR: priors}
         return other
 
     def only(self, blocks: Collection[str]) -> Problem:

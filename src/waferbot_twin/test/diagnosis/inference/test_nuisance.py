@@ -26,7 +26,7 @@ def nominal():
 
 
 def dense(nominal, records, **values):
-    effect, _ = nuisance(nominal, records, Settings())
+    *_, effect = nuisance(nominal, records, Settings())[0]
     (axis,) = effect.axes(nominal)
     parameters = effect.parameters(nominal, axis)
     return Cause(effect, axis, {item.name: values.get(item.name, 0.0) for item in parameters})
@@ -104,7 +104,7 @@ def test_a_skew_of_the_dense_effect_is_that_of_a_log():
 
 def test_what_has_a_cause_does_not_deviate_besides(nominal):
     """Else a cause and a correction would share one number, and no log could tell how."""
-    effect, known = nuisance(nominal, [], Settings())
+    (effect,), known = nuisance(nominal, [], Settings())
     (axis,) = effect.axes(nominal)
     off = Cause(effect, axis, {item.path: 0.5 * item.spread for item in known})
     constant = Cause(find('force_constant'), 'x_rotate', {'ratio': 0.8})

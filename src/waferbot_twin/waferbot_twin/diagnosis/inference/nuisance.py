@@ -3,17 +3,18 @@
 Nuisance parameters: what every machine, and every log, has a little different from its model.
 
 Masses, inertias, force constants and frictions are never exactly those of the data sheets, and what a
-drive does between two samples of a log is not in it. Together they are one dense effect beside the
-sparse causes (X. Zhou, P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and many small
-ones), each with the prior
+drive does between two samples of a log is not in it. What is off in a machine is a dense effect beside
+the sparse causes, what is off in logs another one: the one says nothing of the other (X. Zhou,
+P. Carbonetto, M. Stephens, PLoS Genetics 9, 2013: sparse effects and many small ones), each number with
+the prior
 
     p = p_0 + c x,    x / s ~ Student's t, all together, |x| <= 3 s,    s its usual spread,        (1)
 
 a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
 time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open
-(`Record.skew_spread_s`). The dense effect competes with the causes as a whole: where one thing alone is
+(`Record.skew_spread_s`). A dense effect competes with the causes as a whole: where one thing alone is
 wrong, that is far more probable than many which happen to look like it; where all are a little off, no
-one of them is a cause. A parameter becomes a cause, beside the dense effect, only where it is further
+one of them is a cause. A parameter becomes a cause, beside the dense effects, only where it is further
 off than (1) has it.
 """
 
@@ -44,6 +45,7 @@ from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Record
 
 NAME = 'nuisance_parameters'
+NAME_OF_LOGS = 'nuisance_times'
 
 LOGS = 'logs'
 """Section of what is off in logs, and not in the machine's description."""
@@ -174,12 +176,28 @@ def _of_logs(records: Sequence[Record]) -> list[Number]:
 
 def nuisance(
     variant: Variant, records: Sequence[Record], settings: Settings
-) -> tuple[Effect, list[Number]]:
-    """Return the dense effect of a machine, on its first axis with a motor, and its numbers."""
+) -> tuple[list[Effect], list[Number]]:
+    """Return the dense effects of a machine and of its logs, and their numbers."""
     known = numbers(variant.base, records, settings)
+    return [_dense(group) for group in _groups(known)], known
 
-    def axes(variant: Variant) -> tuple[str, ...]:
-        return places.motor_axes(variant)[:1] if known else ()
+
+def prior_groups(known: Sequence[Number]) -> list[list[str]]:
+    """Return the paths of numbers, those of one dense effect together (`Problem.with_prior`)."""
+    return [[item.path for item in group] for group in _groups(known)]
+
+
+def _groups(known: Sequence[Number]) -> list[list[Number]]:
+    """Return the numbers of a machine, and those of logs: none without any."""
+    of_machine, of_logs = (
+        [item for item in known if (item.section == LOGS) == logs] for logs in (False, True)
+    )
+    return [group for group in (of_machine, of_logs) if group]
+
+
+def _dense(known: Sequence[Number]) -> Effect:
+    """Return some numbers as one effect, on the first axis of a machine with a motor."""
+    of_logs = known[0].section == LOGS
 
     def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         return tuple(
@@ -200,10 +218,14 @@ def nuisance(
         deviations = {item.path: values[item.path] / item.spread for item in known}
         return Overlay(machine, deviations=deviations, skew_s=skew_s)
 
-    effect = Effect(
-        NAME, Block.PLANT, 'parameters a little different from the model', axes, parameters, overlay
-    )  # fmt: skip
-    return effect, known
+    return Effect(
+        NAME_OF_LOGS if of_logs else NAME,
+        Block.PLANT,
+        f'{"times" if of_logs else "parameters"} a little different from the model',
+        lambda variant: places.motor_axes(variant)[:1],
+        parameters,
+        overlay,
+    )
 
 
 def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
@@ -215,8 +237,8 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
 
 
 def is_nuisance(cause: Cause) -> bool:
-    """Return whether a cause is the dense effect."""
-    return cause.effect.name == NAME
+    """Return whether a cause is a dense effect."""
+    return cause.effect.name in (NAME, NAME_OF_LOGS)
 
 
 def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:

@@ -86,10 +86,22 @@ def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> l
     having = {cause.name: cause for cause in rivals if cause.effect.cycle}
     found = []
     for cause in having.values():
-        standing_out = periods(problem, base, POSITION_ENCODER[cause.axis])
+        standing_out = _in_its_unit(
+            problem, cause, periods(problem, base, POSITION_ENCODER[cause.axis])
+        )
         for tuned in tuned_to(problem, cause, cause.effect.cycle, standing_out):
             found += [tuned, _sized(problem, base, tuned)]
     return found
+
+
+def _in_its_unit(problem: Problem, cause: Cause, counts: Sequence[float]) -> list[float]:
+    """Return periods in the unit in which an effect has its cycle."""
+    nominal = problem.nominal
+    units = {item.name: item.unit for item in cause.effect.parameters(nominal, cause.axis)}
+    if units[cause.effect.cycle] == 'counts':
+        return list(counts)
+    encoder = nominal.description.encoders[POSITION_ENCODER[cause.axis]]
+    return [one / abs(encoder.counts_per_unit) for one in counts]
 
 
 def _sized(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
