@@ -51,19 +51,21 @@ def fitted_apart(
     workers: int = 1,
     enough: float = ENOUGH,
     known: Mapping[str, Signature] | None = None,
+    rounds: int = ROUNDS,
 ) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
-    A fit ends where a round gains less than `enough` in ln L. `known` are signatures of all causes by
-    name that were found near here. Raises `UserError` if the simulation blows up where a fit begins.
+    A fit ends where a round gains less than `enough` in ln L, or after so many `rounds`. `known` are
+    signatures of all causes by name that were found near here. Raises `UserError` if the simulation
+    blows up where a fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
     for one in components(problem, causes):
         own = tuple(causes[place] for place in one.places)
         signatures = [known[cause.name] for cause in own] if known else []
-        fit = fit_causes(problem.only(one.blocks), own, ROUNDS, workers, enough, signatures)
+        fit = fit_causes(problem.only(one.blocks), own, rounds, workers, enough, signatures)
         parts.append((one.places, fit))
         untouched -= one.blocks
     return joined(problem, [*parts, ((), evaluate(problem.only(untouched)))])
@@ -129,11 +131,12 @@ def fitted_without(
     workers: int = 1,
     enough: float = ENOUGH,
     known: Mapping[str, Signature] | None = None,
+    rounds: int = ROUNDS,
 ) -> Hypothesis:
     """
     Return a hypothesis without one of its causes, what belonged together with that fitted anew.
 
-    `known` as in `fitted_apart`.
+    `known` and `rounds` as in `fitted_apart`.
     Raises `UserError` if the machine does not stand without it.
     """
     one = next(c for c in components(problem, found.causes) if place in c.places)
@@ -141,7 +144,7 @@ def fitted_without(
     others = [other for other in range(len(found.causes)) if other not in one.places]
     own = problem.only(one.blocks)
     kept = tuple(found.causes[other] for other in beside)
-    again = fitted_apart(own, kept, workers, enough, known)
+    again = fitted_apart(own, kept, workers, enough, known, rounds)
     rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
 
     def moved_up(places: Sequence[int]) -> list[int]:

@@ -124,7 +124,7 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
     [
         (4.0, 20.0, 1, 17.0),  # plain even if another fit gained as much again
         (18.0, 20.0, 2, 1.0),  # not plain: the signatures without the cause have the last word
-        (0.0, 2.0, 2, 1.0),
+        (0.0, 2.0, 1, -1.0),  # not evident, and another fit makes it less so
     ],
 )
 def test_a_second_fit_is_made_where_it_may_change_the_answer(

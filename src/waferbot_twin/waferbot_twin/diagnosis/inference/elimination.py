@@ -80,8 +80,8 @@ def _odds_beside(pool: CandidatePool, found: Hypothesis, name: str) -> tuple[flo
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
-    simulations. Another one with its own would gain a little more. Where not even as much again as the
-    first one gained would bring the odds down to those of being in the model, it is not made.
+    simulations. Another one with its own could only lower the odds. It is not made where they are too
+    low already, nor where as much again as the first one gained would not make them so.
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
@@ -93,7 +93,8 @@ def _odds_beside(pool: CandidatePool, found: Hypothesis, name: str) -> tuple[flo
         base = without(problem, found, [name], pool.workers, signatures)
         odds = log_evidence(problem, more, base, scales) + prior
         again = max(log_likelihood_ratio(base, begun), 0.0)
-        if odds - again > log_odds_at(pool.settings.included_from):
+        limit = log_odds_at(pool.settings.included_from)
+        if odds <= limit or odds - again > limit:
             return odds, base
     except UserError:  # the machine does not stand where that begins
         pass

@@ -17,6 +17,7 @@ from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
 from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
+from waferbot_twin.estimation.gauss_newton import ROUNDS as TO_CONVERGENCE
 from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
@@ -40,7 +41,7 @@ from waferbot_twin.residuals.problem import Cause, Problem
 ENOUGH, ROUGHLY, ROUNDS = 0.3, 1e-2, 6
 """
 Gain in ln L, and share of what was gained, below which a fit in a search ends, and how many rounds that
-of a candidate has at most: what is taken is fitted on, and all in the end.
+of a candidate, or one with known signatures, has: what is taken is fitted on, and all in the end.
 """
 
 SHARES = (1.0, 0.3, 0.1, 0.03)
@@ -134,17 +135,18 @@ def without(
     """
     places = [place for place, cause in enumerate(found.causes) if cause.name in names]
     kept = [place for place in range(len(found.causes)) if place not in places]
+    rounds = ROUNDS if known else TO_CONVERGENCE
     as_they_are = tuple(found.causes[place] for place in kept)
     start = _more_probable(problem, others_without(problem, found, names), as_they_are)
     once = each_once(problem, start)
     try:
         if once != start or len(places) > 1:
-            return fitted_apart(problem, once, workers, ENOUGH, known)
+            return fitted_apart(problem, once, workers, ENOUGH, known, rounds)
         causes = list(found.causes)
         for place, cause in zip(kept, start, strict=True):
             causes[place] = cause
         moved_on = replace(found, causes=tuple(causes))
-        return fitted_without(problem, moved_on, places[0], workers, ENOUGH, known)
+        return fitted_without(problem, moved_on, places[0], workers, ENOUGH, known, rounds)
     except UserError:
         return evaluate(problem, as_they_are)
 
