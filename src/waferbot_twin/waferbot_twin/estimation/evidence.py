@@ -40,7 +40,12 @@ import numpy as np
 from scipy.special import logsumexp
 
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratios, parameters_of
+from waferbot_twin.estimation.hypothesis import (
+    Hypothesis,
+    log_likelihood_ratios,
+    parameters_of,
+    with_next_to_none,
+)
 from waferbot_twin.estimation.size_prior import (
     LARGEST,
     away_from_neutral,
@@ -169,11 +174,16 @@ def log_evidence(
     """
     Return ln BF of the last cause of `more` against `fewer`, which is without it.
 
-    `gained` is equation (1), if somebody has a better one.
+    And against next to none of it: a machine with that is one without, in other springs
+    (`hypothesis.with_next_to_none`). `gained` is equation (1), if somebody has a better one.
     """
     cause = more.causes[-1]
     own = parameters_of(problem, cause)
     known = information_of(problem, more, len(more.causes) - 1)
     occam = log_occam(cause, own, known, scales)
+    gained = gain(more, fewer) if gained is None else gained
+    next_to_none = with_next_to_none(problem, more)
+    if next_to_none is not None:
+        gained = min(gained, gain(more, next_to_none))
     others = log_prior(problem, more.causes[:-1]) - log_prior(problem, fewer.causes)
-    return (gain(more, fewer) if gained is None else gained) + others + occam
+    return gained + others + occam

@@ -98,6 +98,44 @@ def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
     return Hypothesis(causes, residuals, problem.judge(residuals))
 
 
+def lets_go(problem: Problem, causes: tuple[Cause, ...], rival: Cause) -> bool:
+    """
+    Return whether with one more cause a connection gives that is rigid beside some causes.
+
+    The machine is another one then, and an observer follows more of it.
+    """
+    before, after = (
+        apply_all(problem.nominal, some).description.connections
+        for some in (causes, (*causes, rival))
+    )
+    return any(item.flexible and not before[name].flexible for name, item in after.items())
+
+
+NEXT_TO_NONE = 1e-6
+"""Share of a typical size that does nothing by itself."""
+
+
+def with_next_to_none(problem: Problem, hypothesis: Hypothesis) -> Hypothesis | None:
+    """
+    Return a hypothesis with next to none of its last cause, if a part lets go for that; else None.
+
+    A gap, a slip or an error of teeth needs a spring that carries it, where the model is rigid. What
+    that spring does alone is no work of the cause.
+    """
+    *others, last = hypothesis.causes
+    if not lets_go(problem, tuple(others), last):
+        return None
+    sizes = {
+        item.name: item.neutral + NEXT_TO_NONE * (item.typical - item.neutral)
+        for item in parameters_of(problem, last)
+        if not item.shape
+    }
+    try:
+        return evaluate(problem, (*others, last.with_values(sizes)))
+    except UserError:
+        return None
+
+
 def in_quick_steps(problem: Problem, base: Hypothesis) -> tuple[Problem, Hypothesis]:
     """
     Return a problem and a hypothesis in longer steps of the plant, to find what causes change.

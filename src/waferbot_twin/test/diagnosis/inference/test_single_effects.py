@@ -15,6 +15,7 @@ from waferbot_twin.diagnosis.inference import single_effects
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, posterior_of
 from waferbot_twin.effects.effect import Parameter
+from waferbot_twin.estimation import evidence
 from waferbot_twin.estimation.evidence import log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate
@@ -28,6 +29,12 @@ PRIOR = math.log(SETTINGS.expected_causes / 3)
 
 
 # Credible sets
+
+
+@pytest.fixture(autouse=True)
+def rigid(monkeypatch):
+    """No part of a waveform lets go."""
+    monkeypatch.setattr(evidence, 'with_next_to_none', lambda problem, found: None)
 
 
 def effect_of(probabilities):
@@ -122,7 +129,7 @@ def posterior(true):
             fit_causes(problem, (Cause(term, 'x_rotate', {'size': 0.0}),)) for term in TERMS
         )
     ]
-    effect = posterior_of(problem, base, members, SETTINGS.prior_scales)
+    effect = posterior_of(base, members)
     total = sum(member.probability for member in effect.members) + effect.none
     assert total == pytest.approx(1.0)
     assert list(effect.members) == sorted(effect.members, key=lambda one: -one.probability)
@@ -153,7 +160,7 @@ def test_of_noise_none_is_the_most_probable():
 
 
 def test_of_no_candidates_there_is_no_posterior():
-    assert posterior_of(None, None, [], SETTINGS.prior_scales) is None
+    assert posterior_of(None, []) is None
 
 
 def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch):
@@ -168,13 +175,14 @@ def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch
         )
         for name, likelihood, evidence in (('plain', 10.0, 25.0), ('likelier', 20.0, 1.0))
     )
-    monkeypatch.setattr(
-        single_effects,
-        'gain',
-        lambda this, other: 0.0 if this is other else 4.0 if this is likelier.found else -4.0,
-    )
-    monkeypatch.setattr(single_effects, '_occam', lambda problem, one, base, scales: 0.0)
-    effect = posterior_of(None, None, [plain, likelier], SETTINGS.prior_scales)
+
+    def gain(this, other):
+        if other is None:
+            return this.evidence
+        return 0.0 if this is other else 4.0 if this is likelier.found else -4.0
+
+    monkeypatch.setattr(single_effects, 'gain', gain)
+    effect = posterior_of(None, [plain, likelier])
     assert effect.best.cause.name == 'likelier'
     assert effect.inclusion > 0.999
     assert effect.best.probability == pytest.approx(1.0 / (1.0 + math.exp(-4.0)), rel=1e-3)

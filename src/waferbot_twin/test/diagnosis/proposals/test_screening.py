@@ -17,15 +17,14 @@ from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import (
     Gain,
     candidates,
-    lets_go,
     screen,
     signatures,
 )
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.estimation.evidence import gain
+from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.gauss_newton import fit_causes
-from waferbot_twin.estimation.hypothesis import evaluate, in_quick_steps
+from waferbot_twin.estimation.hypothesis import evaluate, in_quick_steps, lets_go
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
 from waferbot_twin.residuals.from_recording import record_of_signals
@@ -135,6 +134,21 @@ def test_what_lets_a_part_go_is_judged_in_its_own_noise():
     for beside, counts in ((base, True), (other, False)):
         (found,) = screen(problem, beside, [every[trial]], [much], [], Settings().prior_scales)
         assert (found.score > 900.0) == counts
+
+
+def test_what_carries_a_cause_does_alone_is_no_evidence_for_it():
+    """
+    An error of teeth takes a spring where the model is rigid: here the spring is true, the error is not.
+
+    In a log of another simulator an error of 0.2 urad had the evidence of its spring, 26.
+    """
+    nominal, teeth = Variant.of(load_model('rigid')), find('transmission_error')
+    true = Cause(teeth, 'y_rotate', {'cosine': 0.0, 'sine': 1e-12, 'order': 1.0}, ('order',))
+    problem = log_of(nominal, true, 'random_y_rotate')
+    nothing = evaluate(problem)
+    found = fit_causes(problem, (true.with_values({'sine': 1e-6}),))
+    assert gain(found, nothing) > BEYOND_DOUBT
+    assert log_evidence(problem, found, nothing, Settings().prior_scales) < 0.0
 
 
 def test_the_step_of_a_coarse_encoder_is_tried_as_it_is():

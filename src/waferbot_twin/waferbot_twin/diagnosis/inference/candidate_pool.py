@@ -36,7 +36,6 @@ from waferbot_twin.diagnosis.proposals.screening import (
     alike,
     candidates,
     indistinct_axes,
-    lets_go,
     screen,
     signatures,
     signatures_beside,
@@ -50,6 +49,7 @@ from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     in_quick_steps,
+    lets_go,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all

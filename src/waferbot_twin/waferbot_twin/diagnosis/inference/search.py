@@ -40,13 +40,14 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     posterior_of,
     with_odds,
 )
-from waferbot_twin.diagnosis.proposals.screening import Screened, lets_go, untempered
+from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
     is_nothing,
+    lets_go,
     parameters_of,
 )
 from waferbot_twin.estimation.separable import part_of
@@ -400,7 +401,7 @@ def _posterior(
         )
         for one in refitted
     ]
-    return posterior_of(problem, base, members, settings.prior_scales)
+    return posterior_of(base, members)
 
 
 def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:

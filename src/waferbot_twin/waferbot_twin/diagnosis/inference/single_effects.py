@@ -28,7 +28,7 @@ from scipy.special import expit
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.refit import to_the_end
-from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.residuals.problem import Cause, Problem
 
@@ -139,12 +139,7 @@ def with_odds(effect: SingleEffect, log_odds: float) -> SingleEffect:
     return SingleEffect(members, none)
 
 
-def posterior_of(
-    problem: Problem,
-    base: Hypothesis,
-    members: Sequence[Member],
-    scales: Sequence[float],
-) -> SingleEffect | None:
+def posterior_of(base: Hypothesis, members: Sequence[Member]) -> SingleEffect | None:
     """
     Return equation (2) for fitted candidates.
 
@@ -153,7 +148,7 @@ def posterior_of(
     """
     if not members:
         return None
-    relative = _relative(problem, base, members, scales)
+    relative = _relative(base, members)
     by_odds = sorted(members, key=lambda item: -relative[id(item)])
     ranked: dict[str, Member] = {}
     for one in by_odds:
@@ -173,16 +168,14 @@ def posterior_of(
     return SingleEffect(tuple(found), none / total)
 
 
-def _relative(
-    problem: Problem, base: Hypothesis, members: Sequence[Member], scales: Sequence[float]
-) -> dict[int, float]:
+def _relative(base: Hypothesis, members: Sequence[Member]) -> dict[int, float]:
     """
     Return ln of the posterior odds of each member against the one that no other beats, by its id.
 
     Two candidates are compared along what they do differently, not along what both explain. Begun
     with the likeliest, the one that is ahead of it takes its place until none is.
     """
-    own = [one.log_prior + _occam(problem, one, base, scales) for one in members]
+    own = [one.log_odds - gain(one.found, base) for one in members]
     place = max(range(len(members)), key=lambda number: members[number].found.log_likelihood)
     seen: set[int] = set()
     while True:
@@ -195,7 +188,3 @@ def _relative(
         if best in seen:
             return {id(one): value for one, value in zip(members, ahead, strict=True)}
         place = best
-
-
-def _occam(problem: Problem, member: Member, base: Hypothesis, scales: Sequence[float]) -> float:
-    return log_evidence(problem, member.found, base, scales, 0.0)

@@ -37,6 +37,7 @@ from waferbot_twin.estimation.hypothesis import (
     changed_by,
     evaluate,
     in_quick_steps,
+    lets_go,
     log_likelihood_ratios,
     parameters_of,
     signature,
@@ -55,7 +56,7 @@ from waferbot_twin.noise_model.residual_spectrum import (
     power_along,
     powers_along,
 )
-from waferbot_twin.residuals.problem import PRIOR, Cause, Problem, apply_all
+from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
 Progress = Callable[[str, int, int], None]
@@ -76,8 +77,9 @@ class Change:
 
     Of one that begins where there is a little, `begun` is the model with that, about which the
     signature is, with its own noise: a part that lets go changes what an observer follows. `gained`
-    is by how much, in 2 ln L, each channel (block and number) is likelier than in the model without. Of
-    most there is none.
+    is by how much, in 2 ln L, each channel (block and number) is likelier than in the model without.
+    Where all are likelier together that is no work of the candidate, and left out
+    (`hypothesis.with_next_to_none`). Of most there is none.
 
     `own` is what one that lets a part go gains as it is, in the noise that is left with it, beside the
     causes `beside`.
@@ -222,28 +224,16 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
     # The residuals of `base` are those of longer steps, its noise is not.
     judged = problem.judge({block: base.residuals[block] for block in blocks})
     without = replace(base, fits={**base.fits, **judged})
+    gained = {
+        (block, number): 2.0 * ratio
+        for block in blocks
+        for number, ratio in enumerate(log_likelihood_ratios(begun, without, block))
+    }
     return Change(
         signature(problem, begun, causes, len(causes) - 1),
         begun,
-        {
-            (block, number): 2.0 * ratio
-            for block in blocks
-            for number, ratio in enumerate(log_likelihood_ratios(begun, without, block))
-        },
+        gained if sum(gained.values()) < 0.0 else {},
     )
-
-
-def lets_go(problem: Problem, causes: tuple[Cause, ...], rival: Cause) -> bool:
-    """
-    Return whether with a candidate a connection gives that is rigid beside some causes.
-
-    The machine is another one then, and an observer follows more of it.
-    """
-    before, after = (
-        apply_all(problem.nominal, some).description.connections
-        for some in (causes, (*causes, rival))
-    )
-    return any(item.flexible and not before[name].flexible for name, item in after.items())
 
 
 def values_of(cause: Cause) -> Values:
