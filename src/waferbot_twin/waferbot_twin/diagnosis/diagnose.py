@@ -190,7 +190,7 @@ def diagnose(
     ]
     notes += [said.worse_with(cause) for cause in extension.withdrawn]
     withdrawn = [*judged.refuted, *extension.withdrawn]
-    posterior = posterior.without(problem, [cause.name for cause in withdrawn])
+    posterior = posterior.without(problem, [cause.name for cause in withdrawn], workers)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior, notes = replace(posterior, found=updated), [*notes, *told]
     left = unexplained(problem, posterior, settings)

@@ -15,7 +15,7 @@ from scipy.special import logit
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.refit import with_last, without
+from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
@@ -44,6 +44,8 @@ def evident(
     (`tentative`) was never asked for: each of these has to be wanted back itself.
     """
     left = [*effects, *tentative]
+    # About other values than the best a fit without a cause gains what was not yet gained with it.
+    found = to_the_end(pool.problem, found, pool.workers) if left else found
     open_ones = {one.best.cause.name for one in left}
     odds_of: dict[str, float] = {}
     while open_ones:
