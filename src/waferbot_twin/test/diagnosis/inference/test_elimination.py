@@ -142,7 +142,7 @@ def test_a_second_fit_is_made_where_it_may_change_the_answer(
     evidence = {'with known signatures': at_first, 'with its own': 4.0}
     monkeypatch.setattr(elimination, 'without', without)
     monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
-    monkeypatch.setattr(elimination, 'log_likelihood_ratio', lambda one, other: gained)
+    monkeypatch.setattr(elimination, 'gain', lambda one, other: gained)
     monkeypatch.setattr(elimination, 'log_evidence', lambda p, more, fewer, s: evidence[fewer])
     pool = SimpleNamespace(
         **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4

@@ -20,11 +20,7 @@ from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import names_of
-from waferbot_twin.estimation.hypothesis import (
-    Hypothesis,
-    log_likelihood_ratio,
-    parameters_of,
-)
+from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
 from waferbot_twin.estimation.size_prior import information_of_logs, log_prior, precision
 from waferbot_twin.residuals.problem import Problem
 
@@ -94,7 +90,7 @@ def _odds_beside(pool: CandidatePool, found: Hypothesis, name: str) -> tuple[flo
         begun = without_by_linear(problem, found, name)
         base = without(problem, found, [name], pool.workers, signatures)
         odds = log_evidence(problem, more, base, scales) + prior
-        again = max(log_likelihood_ratio(base, begun), 0.0)
+        again = max(gain(base, begun), 0.0)
         limit = log_odds_at(pool.settings.included_from)
         if odds <= limit or odds - again > limit:
             return odds, base
