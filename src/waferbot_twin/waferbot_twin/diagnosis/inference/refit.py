@@ -135,10 +135,12 @@ def without(
     """
     places = [place for place, cause in enumerate(found.causes) if cause.name in names]
     kept = [place for place in range(len(found.causes)) if place not in places]
-    rounds = ROUNDS if known else TO_CONVERGENCE
     as_they_are = tuple(found.causes[place] for place in kept)
     start = _more_probable(problem, others_without(problem, found, names), as_they_are)
     once = each_once(problem, start)
+    if once != start:  # what is free now has no column in a signature that is known
+        known = None
+    rounds = ROUNDS if known else TO_CONVERGENCE
     try:
         if once != start or len(places) > 1:
             return fitted_apart(problem, once, workers, ENOUGH, known, rounds)

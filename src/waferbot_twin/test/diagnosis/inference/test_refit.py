@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A hypothesis without some of its causes."""
+
+from __future__ import annotations
+
+import pytest
+
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.inference import refit
+from waferbot_twin.diagnosis.inference.nuisance import each_once, nuisance, prior_groups
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.gauss_newton import all_signatures
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.closed_loop_record import run_commanded
+from waferbot_twin.residuals.from_recording import record_of_signals
+from waferbot_twin.residuals.problem import Cause, Problem
+
+
+@pytest.mark.parametrize(
+    ('name', 'frees'), [('force_constant', True), ('coulomb_friction', False)]
+)
+def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_known(
+    monkeypatch, name, frees
+):
+    """Beside a force constant the dense effect holds its own: known signatures have no column for it."""
+    nominal = Variant.of(load_model('rigid'))
+    timing = Timing()
+    commanded = commanded_positions(
+        load_experiment('step'), servo_parameters(nominal.pmac, nominal.name), timing.servo_hz
+    )
+    signals = run_commanded(nominal, timing, commanded, timing.ticks(0.1))
+    record = record_of_signals('log', signals)
+    (dense,), numbers = nuisance(nominal, [record], Settings())
+    problem = Problem(nominal, [record]).with_prior(prior_groups(numbers))
+    effect = find(name)
+    cause = Cause(effect, 'x_rotate', effect.typical(nominal, 'x_rotate'))
+    off = Cause(dense, 'y_linear', {item.path: 0.1 * item.spread for item in numbers})
+    found = evaluate(problem, each_once(problem, (cause, off)))
+    assert bool(found.causes[1].held) == frees
+    known = dict(
+        zip([one.name for one in found.causes], all_signatures(problem, found), strict=True)
+    )
+    rounds = []
+    of_apart = refit.fitted_apart
+
+    def fitted_apart(problem, causes, workers, enough, known, most):
+        rounds.append((bool(known), most))
+        return of_apart(problem, causes, workers, enough, known, 1)
+
+    monkeypatch.setattr(refit, 'fitted_apart', fitted_apart)
+    monkeypatch.setattr(
+        refit,
+        'fitted_without',
+        lambda p, found, place, workers, enough, known, most: fitted_apart(
+            p, (found.causes[1],), workers, enough, known, most
+        ),
+    )
+    (left,) = refit.without(problem, found, [cause.name], 1, known).causes
+    assert left.held == ()
+    assert rounds == [(not frees, refit.TO_CONVERGENCE if frees else refit.ROUNDS)]
