@@ -31,11 +31,10 @@ def _across(variant: Variant, axis: str) -> tuple[int, ...]:
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     weight = 9.81 * places.carried_body(variant, axis).mass
-    rated = places.rated_force(variant, axis) / weight
-    typical, most = 0.05 * rated, 3.0 * rated
+    typical = 0.05 * places.rated_force(variant, axis) / weight
     return tuple(
         Parameter(
-            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -most, most,
+            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -8.0 * typical, 8.0 * typical,
             f'along {"xyz"[place]} at home',
         )
         for place in _across(variant, axis)
