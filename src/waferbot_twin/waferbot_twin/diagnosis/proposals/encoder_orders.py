@@ -55,8 +55,8 @@ STEPS = 8.0
 FINER = 4
 """Values of k for each independent one, at least."""
 
-SPEEDS = 64
-"""Different speeds for which the noise of equation (1) is found."""
+SPEEDS = 256
+"""Parts of the speeds of a log for the sum over |H|^2 of equation (1); 64 is fine enough, 32 is not."""
 
 ANGLES = np.geomspace(1e-6, math.pi, 2048)
 """Frequencies, rad per sample, at which a filter's response is tabulated."""
