@@ -34,7 +34,8 @@ from waferbot_twin.effects import effects_page, find, library, places
 from waferbot_twin.effects.effect import Values
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
-from waferbot_twin.models import load_model
+from waferbot_twin.models import load_model, load_model_or_machine
+from waferbot_twin.residuals.problem import Cause, apply_all
 
 TIMING = Timing()
 TICKS = TIMING.ticks(0.65)
@@ -490,3 +491,36 @@ def test_what_is_behind_what_may_give_is_told_from_the_same_at_the_axis_only_if_
     moved = [twin(variant).advance(600).counts for variant in (one, other)]
     assert np.max(np.abs(moved[0] - moved[1])) <= 1
     assert np.max(np.abs(moved[0] - nominal_signals().counts[: len(moved[0])])) > 1
+
+
+@pytest.mark.parametrize(
+    ('example', 'axis', 'least', 'most'),
+    [
+        # its output is bolted to a table of 2e4 kg m2, and the gear between them gives
+        ('locked_cycloidal_drive', 'x_rotate', 0.02, 0.021),
+        ('rigid', 'y_linear', 30.0, 300.0),
+    ],
+)
+def test_an_inertia_error_is_a_share_of_what_is_one_with_the_axis(example, axis, least, most):
+    nominal = Variant.of(load_model_or_machine(example))
+    (item,) = find('wrong_inertia').parameters(nominal, axis)
+    assert least <= item.typical / 0.05 <= most
+
+
+@pytest.mark.parametrize(
+    ('example', 'axis', 'unit'),
+    [
+        ('locked_cycloidal_drive', 'x_rotate', 'rad'),
+        ('ball_screw_stage', 'y_linear', 'm'),
+        ('rigid', 'y_rotate', 'rad'),
+    ],
+)
+def test_couplings_and_screws_have_play_like_gears(example, axis, unit):
+    nominal = Variant.of(load_model_or_machine(example))
+    effect = find('backlash')
+    assert axis in effect.axes(nominal)
+    (item,) = effect.parameters(nominal, axis)
+    assert item.unit == unit
+    variant = apply_all(nominal, [Cause(effect, axis, {'gap': item.typical})])
+    gaps = {part.gap for part in variant.description.connections.values()} - {0.0}
+    assert gaps == {item.typical}

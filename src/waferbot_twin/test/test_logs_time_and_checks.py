@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -224,3 +226,24 @@ def test_values_without_a_step_have_none(count, seed) -> None:
     assert lattice_step(random.normal(size=count)) == 0.0
     assert lattice_step(np.sin(np.arange(count) * 0.0137)) == 0.0
     assert lattice_step(np.zeros(count)) == 0.0
+
+
+def test_the_mean_of_what_is_held_is_that_of_its_steps() -> None:
+    held = Signal(
+        'current',
+        'x_rotate',
+        'A',
+        np.arange(5.0),
+        np.array([1.0, 3.0, 2.0, 5.0, 4.0]),
+        hold='zero_order',
+    )
+    straight = replace(held, hold='linear')
+    edges_s = np.array([-1.0, 0.0, 0.5, 1.25, 3.5, 4.0, 9.0])
+    means = held.means(edges_s)
+    assert means[1:5] == pytest.approx(
+        [1.0, (0.5 * 1 + 0.25 * 3) / 0.75, (2.25 + 2.0 + 2.5) / 2.25, 5.0]
+    )
+    assert np.isnan(means[[0, 5]]).all()
+    assert straight.means(edges_s)[1:5] == pytest.approx(
+        straight.at(0.5 * (edges_s[1:5] + edges_s[2:6]))[0]
+    )

@@ -45,6 +45,7 @@ from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
+from waferbot_twin.residuals.windows import in_windows
 from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.holdout import extension_that_wins, fitted_to, without_refuted
 
@@ -150,10 +151,14 @@ def diagnose(
     if not validation:
         estimation, validation = _divide(estimation)
         notes.append(said.ONE_LOG)
+    (estimation, used), (validation, used_too) = (
+        in_windows(records, nominal) for records in (estimation, validation)
+    )
     records = [*estimation, *validation]
     if not all(record.is_imported or record.closes_loop for record in records):
         notes.append(said.NO_CONTROLLER)
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
+    notes += [*used, *used_too]
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
     groups = prior_groups(numbers)

@@ -163,7 +163,7 @@ def _stretch(
     axis = channel.axis
     metres, _ = metres_per_count(problem.nominal, axis)
     step = log.steps(variant)[log.channels.index(channel.name)]
-    mass = places.moving_inertia(problem.nominal, axis)
+    mass = places.joined_inertia(problem.nominal, axis)
     time_s = log.times_s(channel.name)
     step_s = float(np.median(np.diff(time_s)))
     even_s = np.arange(time_s[0], time_s[-1], step_s)

@@ -30,7 +30,7 @@ def _axes(variant: Variant) -> tuple[str, ...]:
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     rotor = _rotor(variant, axis)
     assert rotor is not None
-    whole = places.moving_inertia(variant, axis) / places.motor_ratio(variant, axis) ** 2
+    whole = places.joined_motor_inertia(variant, axis)
     meaning = 'more than the model has, at the motor'
     return (
         Parameter(

@@ -17,7 +17,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_plant import motors
-from waferbot_plant.assembly import home_mass_matrix_and_weight
+from waferbot_plant.assembly import Assembly, home_mass_matrix_and_weight
 from waferbot_plant.description import Body, Joint
 from waferbot_twin.effects.variant import Variant
 
@@ -219,15 +219,32 @@ def described_axes(variant: Variant) -> tuple[str, ...]:
 
 def moving_inertia(variant: Variant, axis: str) -> float:
     """Return the mass (kg) or inertia (kg m2) that the axis moves at home, all else rigid."""
-    variant = variant.base
-    assembly = variant.rigid
+    return _inertia_in(variant.base.rigid, coordinate(variant, axis))
+
+
+def joined_inertia(variant: Variant, axis: str) -> float:
+    """
+    Return the mass (kg) or inertia (kg m2) that is one with the axis at home.
+
+    What lies behind a connection that gives in the model is not: of a motor whose gear gives and whose
+    output is bolted to a table, the table would be all of it.
+    """
+    return _inertia_in(variant.base.as_connected, coordinate(variant, axis))
+
+
+def joined_motor_inertia(variant: Variant, axis: str) -> float:
+    """Return `joined_inertia` of what the motor of an axis drives, at the motor."""
+    return _inertia_in(variant.base.as_connected, motor_coordinate(variant, axis))
+
+
+def _inertia_in(assembly: Assembly, name: str) -> float:
     matrix, _ = home_mass_matrix_and_weight(
         list(assembly.links),
         assembly.placing,
         len(assembly.coordinates),
-        variant.description.gravity,
+        assembly.description.gravity,
     )
-    row, ratio = assembly.placing[coordinate(variant, axis)]
+    row, ratio = assembly.placing[name]
     return float((matrix[row, row] + assembly.rotor_inertia[row]) / ratio**2)
 
 
@@ -255,7 +272,7 @@ def rated_motor_force(variant: Variant, axis: str) -> float:
 
 def rated_speed(variant: Variant, axis: str) -> float:
     """Return a brisk speed of the axis, m/s or rad/s: what rated force reaches in 50 ms."""
-    return 0.05 * rated_force(variant, axis) / moving_inertia(variant, axis)
+    return 0.05 * rated_force(variant, axis) / joined_inertia(variant, axis)
 
 
 def current_per_bit(variant: Variant, axis: str) -> float:

@@ -117,6 +117,11 @@ class Variant:
         return assemble(with_rigid(self.description, self.description.connections))
 
     @cached_property
+    def as_connected(self) -> Assembly:
+        """The machine with its connections as they are."""
+        return assemble(self.description)
+
+    @cached_property
     def compensation(self) -> tuple[Table, ...]:
         """The tables by which the PMAC adds currents."""
         return load_tables(str(self.node_settings.get('pmac', {}).get('compensation') or ''))
@@ -127,7 +132,7 @@ class Variant:
 
     def build(self, timing: Timing) -> Machine:
         """Return the machine, assembled."""
-        return Machine(self.description, assemble(self.description), timing)
+        return Machine(self.description, self.as_connected, timing)
 
     def i_variable(self, axis: str, name: str) -> float:
         """Return an I-variable of an axis, its default where it is not set."""

@@ -11,7 +11,7 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-    whole = places.moving_inertia(variant, axis)
+    whole = places.joined_inertia(variant, axis)
     rotary = places.rotary(variant, axis)
     lowest = -0.9 * places.own_inertia(variant, axis)
     return (

@@ -112,6 +112,20 @@ class Signal:
         known = (row >= 0) & last & ((steps_s <= self.gap_s) | on_sample)
         return np.where(known, value, np.nan), known
 
+    def means(self, edges_s: Array) -> Array:
+        """
+        Return the mean value (n,) between each two of some times (n + 1,), NaN where it is not known.
+
+        Of one that goes straight from sample to sample it is the value in the middle.
+        """
+        middle, known = self.at(0.5 * (edges_s[1:] + edges_s[:-1]))
+        if not self.held or len(self.time_s) < 2:
+            return middle
+        whole = np.concatenate([[0.0], np.cumsum(self.value[:-1] * np.diff(self.time_s))])
+        area = np.diff(np.interp(edges_s, self.time_s, whole))
+        inside = known & (edges_s[:-1] >= self.time_s[0]) & (edges_s[1:] <= self.time_s[-1])
+        return np.where(inside, area / np.diff(edges_s), middle)
+
 
 @dataclass(frozen=True, eq=False)
 class Grid:

@@ -21,7 +21,8 @@ plant when the sample ends: a sample is what was predicted from those before it,
 follows.
 
 A reading that is late is compared with where the plant was by then, as corrected since: without the
-latter the observer, and with it the spread of e, would depend on the delay.
+latter the observer, and with it the spread of e, would depend on the delay. One that was taken between
+two ticks is compared with the parabola through the three nearest.
 
 What moves together as long as nothing gives is corrected together, a carriage with its counterweight,
 an axis with its motor, by the finest of its encoders: the steps of a coarse one would push a machine
@@ -520,7 +521,17 @@ def _drive(
                 if error != error:
                     continue
                 if late_s.shape[0]:
-                    error -= late_s[row, encoder] * s['velocity'][coordinate] * per_unit
+                    row_s = divider * p['step'] * p['substeps']
+                    if p['encoder_delay'][encoder] > 0:
+                        after = seen[(late + 1) % LONGEST_DELAY, encoder] - seen[late, encoder]
+                        before = seen[late, encoder] - seen[late - 1, encoder]
+                        speed, bend = 0.5 * (after + before), after - before
+                    else:
+                        speed, bend = row_s * s['velocity'][coordinate] * per_unit, 0.0
+                    rows = late_s[row, encoder] / row_s
+                    near = min(max(rows, -1.0), 1.0)
+                    error -= near * (speed + 0.5 * near * bend)
+                    error -= (rows - near) * (speed + near * bend)
                 innovation[row, encoder] = error
                 summed[encoder] += error
                 count[encoder] += 1.0

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -176,22 +177,28 @@ class Record:
             terminals=None,
         )
 
-    def part(self, first_s: float, last_s: float) -> Record:
-        """Return the record up to a time, of which only what lies between two times is judged."""
-        cycles = round(last_s * self.timing.servo_hz)
-        ticks = cycles * self.timing.servo_divider
-        rows = ticks // self.timing.encoder_divider
+    def part(self, first_s: float, last_s: float, begin_s: float = 0.0) -> Record:
+        """
+        Return the record from `begin_s` to a time, of which only what lies between two times is judged.
+
+        It begins with a cycle of the servo, and as the log does by then: in motion, if the axes moved.
+        """
+        timing = self.timing
+        before = math.floor(begin_s * timing.servo_hz)
+        cycles = slice(before, round(last_s * timing.servo_hz))
+        ticks = slice(before * timing.servo_divider, cycles.stop * timing.servo_divider)
+        rows = slice(ticks.start // timing.encoder_divider, ticks.stop // timing.encoder_divider)
         return replace(
             self,
             name=f'{self.name} {first_s:.2f} to {last_s:.2f} s',
-            line_current=self.line_current[:ticks],
-            reading=self.reading[:rows],
-            commanded=None if self.commanded is None else self.commanded[:cycles],
-            command=None if self.command is None else self.command[:cycles],
-            terminals=None if self.terminals is None else self.terminals.part(slice(0, ticks)),
-            judged_from_s=first_s,
-            current=None if self.current is None else self.current[:ticks],
-            late_s=None if self.late_s is None else self.late_s[:rows],
+            line_current=self.line_current[ticks],
+            reading=self.reading[rows],
+            commanded=None if self.commanded is None else self.commanded[cycles],
+            command=None if self.command is None else self.command[cycles],
+            terminals=None if self.terminals is None else self.terminals.part(ticks),
+            judged_from_s=first_s - before / timing.servo_hz,
+            current=None if self.current is None else self.current[ticks],
+            late_s=None if self.late_s is None else self.late_s[rows],
         )
 
 

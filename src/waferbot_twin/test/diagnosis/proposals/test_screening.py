@@ -23,7 +23,7 @@ from waferbot_twin.diagnosis.proposals.screening import (
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain, log_evidence
-from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.gauss_newton import all_signatures, fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate, in_quick_steps, lets_go
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
@@ -213,3 +213,21 @@ def test_a_delay_of_two_interrupts_that_sets_a_loop_swinging_is_tried_as_two():
         problem, 'command_delay', 'notch', 'wrong_derivative_gain', axis='x_rotate'
     )
     assert (first.cause.name, first.cause.values) == (true.name, true.values)
+
+
+def test_what_the_logs_tell_beside_another_cause_as_a_difference_only_is_offered():
+    """Friction by direction beside viscous friction, which may take all of what both have in common."""
+    nominal = Variant.of(load_model('rigid'))
+    effect, viscous = find('direction_dependent_damping'), find('viscous_friction')
+    typical = effect.typical(nominal, 'y_rotate')
+    true = Cause(effect, 'y_rotate', {name: 3.0 * value for name, value in typical.items()})
+    problem = log_of(nominal, true, 'random_y_rotate')
+    start = Cause(viscous, 'y_rotate', viscous.typical(nominal, 'y_rotate'))
+    base = fit_causes(problem, (start,))
+    rivals = [item for item in candidates(problem, [effect]) if item.axis == 'y_rotate']
+    quick, begun = in_quick_steps(problem, base)
+    found = signatures(problem, base, rivals, 1, quiet)
+    (first,) = screen(
+        problem, base, rivals, found, all_signatures(quick, begun), Settings().prior_scales
+    )
+    assert first.likelihood > BEYOND_DOUBT

@@ -42,7 +42,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
 )
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.conditional import without_by_linear
-from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -51,6 +51,7 @@ from waferbot_twin.estimation.hypothesis import (
     parameters_of,
 )
 from waferbot_twin.estimation.separable import part_of
+from waferbot_twin.estimation.size_prior import log_prior
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -112,7 +113,8 @@ def _ask_on(
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
     (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
     found by then. A force without a name is asked for again beside them, and not there before: it would
-    do what several of them do together. `usual` says that they have been there.
+    do what several of them do together. `usual` says that they have been there. Where it is ahead
+    again, other causes may still do together what it does (`_by_names`).
     """
     asked, along = 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
@@ -122,6 +124,13 @@ def _ask_on(
         if effect is None:
             break
         included = _included(effect, pool.settings)
+        if included and usual and is_discrepancy(effect.best.cause):
+            named, there, more = _by_names(pool, found, effect, most - asked)
+            asked += more
+            if named:
+                effects += named
+                found, effects, tentative = _some_of_each(pool.problem, there, effects, tentative)
+                continue
         best = effect.best if included else _ahead(pool.problem, found, effect)
         if best is None:
             break
@@ -151,6 +160,51 @@ def _ask_on(
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
+
+
+def _by_names(
+    pool: CandidatePool, base: Hypothesis, effect: SingleEffect, most: int
+) -> tuple[list[SingleEffect], Hypothesis, int]:
+    """
+    Return causes that together are more probable than a force without a name, and they fitted.
+
+    Several causes may do what such a force does alone, and each of them less of it. They are added to
+    `base`, one after the other, as long as one is included, until they are ahead. None if they never
+    are. `effect` is what was asked for beside `base`; return how often more was asked for, too.
+    """
+    unnamed = with_last(pool.problem, effect.best.found, effect.best.cause.name)
+    there, chosen, asked = base, list[SingleEffect](), 0
+    members = effect.members
+    while True:
+        own = posterior_of(there, [one for one in members if not is_discrepancy(one.cause)])
+        if own is None or not _included(own, pool.settings):
+            return [], base, asked
+        chosen.append(own)
+        there = _fitted_on(pool, own.best.found, own.best.found.causes)
+        if _log_odds_between(pool, there, unnamed) > 0.0:
+            return chosen, there, asked
+        more = _ask(pool, there) if asked < most else None
+        asked += 1
+        if more is None:
+            return [], base, asked
+        members = more.members
+
+
+def _log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -> float:
+    """Return ln of the posterior odds of one hypothesis against another, whatever causes each has."""
+    problem, scales = pool.problem, pool.settings.prior_scales
+    both = {cause.name for cause in one.causes} & {cause.name for cause in other.causes}
+
+    def own(hypothesis: Hypothesis) -> float:
+        total = log_prior(problem, [item for item in hypothesis.causes if item.name in both])
+        for place, cause in enumerate(hypothesis.causes):
+            if cause.name not in both:
+                known = information_of(problem, hypothesis, place)
+                total += log_occam(cause, parameters_of(problem, cause), known, scales)
+                total += pool.log_prior(cause)
+        return total
+
+    return gain(one, other) + own(one) - own(other)
 
 
 def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]) -> Hypothesis:

@@ -532,9 +532,12 @@ class _Linear:
     def with_values(
         self, problem: Problem, rival: Cause, scales: Sequence[float]
     ) -> Screened | None:
-        """Return the evidence for a candidate whose signature are slopes over its parameters."""
-        if not _possible(problem, rival, self.value):
-            return None
+        """
+        Return the evidence for a candidate whose signature are slopes over its parameters.
+
+        None if it asks for nothing that the bounds allow. That is asked of the values with the prior: of
+        two of which the logs tell a difference only, without it both may be anywhere.
+        """
         parameters = parameters_of(problem, rival)
         shown = [place for place in range(len(parameters)) if self.information[place, place] > 0.0]
         seen, known = (
@@ -557,7 +560,9 @@ class _Linear:
             prior = precision_at(at(found), seen, scales)
             found = posterior_covariance(known, prior) @ (pull - prior * begun)
         value[shown] = found
-        return self.fitted.screened(rival, value, occam)
+        return (
+            self.fitted.screened(rival, value, occam) if _possible(problem, rival, value) else None
+        )
 
 
 def untempered(rival: Cause, evidence: float) -> Screened:
