@@ -88,7 +88,7 @@ def test_windows_are_where_the_axis_moves(motor, random) -> None:
     in_all = np.count_nonzero(np.diff(whole.reading[np.isfinite(whole.reading[:, PLACE]), PLACE]))
     assert moving > 0.95 * in_all
     assert note.startswith(
-        f'log is longer than needed: {ENOUGH_S:.1f} of its {4 * ENOUGH_S:.1f} s'
+        f'log is longer than needed: of its {4 * ENOUGH_S:.1f} s those {ENOUGH_S:.1f} s'
     )
 
 

@@ -336,8 +336,8 @@ def _timing(log: MeasuredLog, axes: Sequence[str], variant: Variant) -> Timing:
     Return the ticks with which a log is simulated: the twin's own where its controllers are known.
 
     A machine alone has no clock of its own: a whole multiple of the fastest log is taken, so that a
-    slow log is not simulated for nothing. Its encoders are read in every second one. Described controllers act in
-    every so many ticks. Raises `UserError` for controllers whose rates do not nest.
+    slow log is not simulated for nothing. Its encoders are read in every second one. Described
+    controllers act in every so many ticks. Raises `UserError` for controllers whose rates do not nest.
     """
     if any(variant.pmac.get(axis) or variant.copley.get(axis) for axis in axes):
         return Timing()

@@ -4,8 +4,8 @@ Informative windows of logs that are longer than needed.
 
 What a parameter of an axis changes in its residual goes with its motion: with orthonormal columns Q
 (n, k) of position, speed, acceleration, direction and what follows from these
-(`noise_model.motion_basis`). The rows Q_w of a window tell Q_w' Q_w of what the whole log tells, which is
-1. Of m windows some are taken, one after another, each the one with which
+(`noise_model.motion_basis`). The rows Q_w of a window tell Q_w' Q_w of what the whole log tells, which
+is 1. Of m windows some are taken, one after another, each the one with which
 
     J = sum over channels of ln |1 / m^2 + sum over windows of Q_w' Q_w|                           (1)
 
@@ -15,12 +15,13 @@ were made already. It knows nothing of what the logs leave over, so it favours n
 A window begins in motion, as a log may. A little before it is simulated and not judged: what sticks and
 rings is in the state that it had by then.
 
-Not of machines with the twin's own controller: how full its integrators were in the middle of a log is not
-known, and it follows to the last bit.
+Not of machines with the twin's own controller: how full its integrators were in the middle of a log is
+not known, and it follows to the last bit.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -48,11 +49,11 @@ def in_windows(records: Sequence[Record], nominal: Variant) -> tuple[list[Record
         windows = _chosen(record, nominal, ENOUGH_SAMPLES / len(records))
         found += [record.part(first, last, begin) for begin, first, last in windows] or [record]
         if windows:
-            used_s = sum(last - first for _, first, last in windows)
+            used_s, whole_s = sum(last - first for _, first, last in windows), record.duration_s
             spans = ', '.join(f'{first:.1f} to {last:.1f}' for _, first, last in windows)
             notes.append(
-                f'{record.name} is longer than needed: {used_s:.1f} of its {record.duration_s:.1f} s were '
-                f'used, those that tell most of its motion ({spans} s)'
+                f'{record.name} is longer than needed: of its {whole_s:.1f} s those {used_s:.1f} '
+                f's were used that tell most of its motion ({spans} s)'
             )
     return found, notes
 
@@ -68,7 +69,7 @@ def _chosen(record: Record, nominal: Variant, enough: float) -> list[tuple[float
         return []
     length_s = enough_s / WINDOWS
     count = int(judged_s / length_s)
-    edges_s = record.judged_from_s + length_s * np.arange(count + 1)
+    edges_s: Array = record.judged_from_s + length_s * np.arange(count + 1.0)
     told = _told(block, edges_s)
     chosen = sorted(_most_informative(told, WINDOWS))
     lead_s = LEAD * length_s
@@ -91,7 +92,7 @@ def _told(block: PlantBlock, edges_s: Array) -> list[Array]:
         rows = np.searchsorted(time_s, edges_s)
         if basis.shape[1] == 0:  # it stands: every sample tells as much
             basis = np.full((len(time_s), 1), len(time_s) ** -0.5)
-        own = [basis[first:last] for first, last in zip(rows[:-1], rows[1:], strict=True)]
+        own = [basis[first:last] for first, last in itertools.pairwise(rows)]
         found.append(np.array([part.T @ part for part in own]))
     return found
 

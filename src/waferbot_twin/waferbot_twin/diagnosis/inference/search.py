@@ -125,11 +125,13 @@ def _ask_on(
             break
         included = _included(effect, pool.settings)
         if included and usual and is_discrepancy(effect.best.cause):
-            named, there, more = _by_names(pool, found, effect, most - asked)
+            named, instead, more = _by_names(pool, found, effect, most - asked)
             asked += more
             if named:
                 effects += named
-                found, effects, tentative = _some_of_each(pool.problem, there, effects, tentative)
+                found, effects, tentative = _some_of_each(
+                    pool.problem, instead, effects, tentative
+                )
                 continue
         best = effect.best if included else _ahead(pool.problem, found, effect)
         if best is None:
