@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.plant import find_description
@@ -250,6 +251,22 @@ def test_the_noise_free_log_is_there_to_be_asked(random, tmp_path, missing) -> N
     assert not any('weaker' in note for record in problem.records for note in record.notes)
 
 
+def test_readings_stand_at_encoder_ticks_whatever_their_divider(random, tmp_path) -> None:
+    _, commanded = path(random, 0.6)
+    machine = machine_file(tmp_path)
+    variant = Variant.of(load_model_or_machine(str(machine)))
+    asked = np.zeros((len(commanded), 3))
+    asked[:, AXES.index(AXIS)] = commanded
+    still = Begin(*np.zeros((4, 3)))
+    finest, every_fourth = (
+        run(variant, Timing(8000, divider, 8), asked, still, Counting(np.zeros(4), np.zeros(4)))
+        for divider in (1, 4)
+    )
+    assert np.array_equal(every_fourth.seen, finest.seen[::4])
+    assert np.array_equal(every_fourth.speed, finest.speed[::4])
+    assert np.array_equal(every_fourth.current, finest.current)
+
+
 def test_what_the_command_causes_is_that_motion(random, tmp_path) -> None:
     """Finding 1: what asks by the command gets position, speed and current of an imported log."""
     time_s, commanded = path(random, 0.6)
@@ -260,7 +277,7 @@ def test_what_the_command_causes_is_that_motion(random, tmp_path) -> None:
     record = aligned_record(log, variant)
     found = motion(variant, simulate(variant, record), AXIS)
     middle = slice(len(found.clock_s) // 4, -len(found.clock_s) // 8)
-    delay_s = variant.description.encoder_delay * record.timing.tick_s
+    delay_s = variant.description.encoder_delay / record.timing.encoder_hz
     angle = np.interp(found.clock_s - delay_s, time_s, angles)
     speed = np.interp(found.clock_s - delay_s, time_s, np.gradient(angles, time_s))
     assert found.position[middle] / COUNTS == pytest.approx(angle[middle], abs=0.01)

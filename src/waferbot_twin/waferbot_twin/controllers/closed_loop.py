@@ -64,8 +64,8 @@ class Run:
     """
     Signals of a run without noise.
 
-    seen      (ticks, 4) counts that encoders see at every tick, without steps, not yet published
-    speed     (ticks, 4) counts per second, of that
+    seen      (rows, 4) counts that encoders see at encoder ticks, without steps, not yet published
+    speed     (rows, 4) counts per second, of that
     current   (ticks, 3) A, over each tick
     command   (cycles, 3) A, what controllers computed
     """
@@ -82,8 +82,8 @@ def run(
     """
     Run the closed loop of a variant over commanded positions (cycles, 3), m or rad.
 
-    The servo of `timing` is the fastest of the described controllers, and its encoders are read at every
-    tick. Raises `UserError` if the loop is unstable.
+    The servo of `timing` is the fastest of the described controllers. Raises `UserError` if the loop is
+    unstable.
     """
     controllers = variant.description.controllers
     machine = built(variant, timing)
@@ -100,9 +100,10 @@ def run(
     )
     delays = [timing.ticks(controllers[a].delay) if a in controllers else 0 for a in AXES]
     ticks = len(commanded) * timing.servo_divider
+    rows = ticks // timing.encoder_divider
     result = Run(
-        np.zeros((ticks, len(ENCODERS))),
-        np.zeros((ticks, len(ENCODERS))),
+        np.zeros((rows, len(ENCODERS))),
+        np.zeros((rows, len(ENCODERS))),
         np.zeros((ticks, len(AXES))),
         np.zeros(commanded.shape),
     )
@@ -119,6 +120,7 @@ def run(
         amperes,
         np.array(delays),
         timing.servo_divider,
+        timing.encoder_divider,
         places.counts_per_unit(variant),
         variant.description.encoder_delay,
         counting.step,
@@ -182,6 +184,7 @@ def _advance(
     amperes,
     delays,
     divider,
+    encoder_divider,
     per_unit,
     common_delay,
     count_step,
@@ -211,13 +214,14 @@ def _advance(
     for axis in range(axes):
         for tick in range(min(delays[axis], len(current_out))):
             current_out[tick, axis] = current[axis]
-    for tick in range(len(seen_out)):
+    for tick in range(len(current_out)):
+        row = tick // encoder_divider
         for encoder in range(seen_out.shape[1]):
             counts = p['counts_per_unit'][encoder]
-            if counts != 0.0:
-                seen_out[tick, encoder] = encoders.seen_counts(s, p, encoder)
+            if counts != 0.0 and tick % encoder_divider == 0:
+                seen_out[row, encoder] = encoders.seen_counts(s, p, encoder)
                 speed = s['velocity'][p['encoder_coordinate'][encoder]]
-                speed_out[tick, encoder] = counts * speed
+                speed_out[row, encoder] = counts * speed
         if tick % divider == 0:
             cycle = tick // divider
             for axis in range(axes):
@@ -225,7 +229,7 @@ def _advance(
                 own = count_step[axis]
                 if p['coarseness'][axis] > 1.0:
                     own = max(own, p['coarseness'][axis])
-                seen = in_steps(seen_out[max(tick - later, 0), axis], own, down[axis])
+                seen = in_steps(seen_out[max(row - later, 0), axis], own, down[axis])
                 position[axis] = seen / per_unit[axis]
             if cycle == 0:
                 law.prime(law_state, law_parameters, commanded[0], position, velocity, integral)
@@ -233,10 +237,10 @@ def _advance(
             for axis in range(axes):
                 command_out[cycle, axis] = output[axis] * amperes[axis]
                 first = tick + delays[axis]
-                for row in range(first, min(first + divider, len(current_out))):
-                    current_out[row, axis] = command_out[cycle, axis]
-        for row in range(len(s['external_force'])):
-            s['external_force'][row] = 0.0
+                for held in range(first, min(first + divider, len(current_out))):
+                    current_out[held, axis] = command_out[cycle, axis]
+        for driven in range(len(s['external_force'])):
+            s['external_force'][driven] = 0.0
         for motor in range(motors.MOTORS):
             if p['winding'][motor] == motors.NONE:
                 continue
@@ -255,4 +259,4 @@ def _advance(
             if standing[coordinate]:
                 s['position'][coordinate] = start[coordinate]
                 s['velocity'][coordinate] = 0.0
-    return len(seen_out), -1
+    return len(current_out), -1

@@ -9,7 +9,8 @@ of what A leaves over along d, both filtered by the noise model of A, known with
 
     G = sum over channels of (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                     (1)
 
-is the logarithm of their likelihood ratio. Where the noise model is right, lambda is 1, nu large
+is the logarithm of their likelihood ratio, of the plant beside the misfit that A leaves over
+(`noise_model.misfit`). Where the noise model is right, lambda is 1, nu large
 and G the usual one; where A lacks something, or noise has another colour, the working likelihood
 is corrected as composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 94, 2007): the
 weighting, and with it the estimate, stays that of the noise model.
@@ -35,6 +36,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import logsumexp
@@ -53,6 +55,9 @@ from waferbot_twin.estimation.size_prior import (
     log_prior,
     precision,
 )
+from waferbot_twin.noise_model import misfit
+from waferbot_twin.noise_model.misfit import InLog
+from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.prior_block import log_normaliser
@@ -73,25 +78,44 @@ def gain(
     infinite.
     """
     seen = _seen_from(more, fewer, noise_known, power_known)
-    if noise_known or all(one >= 0.0 for one in seen):
-        return sum(seen)
+    if noise_known:
+        return sum(one.ratio for one in seen)
+    if all(one.ratio >= 0.0 for one in seen):
+        return _beside_misfit([one.ratio for one in seen], seen)
     back = _seen_from(fewer, more, noise_known, power_known)
-    return sum(
-        one if one >= 0.0 else -max(other, 0.0) for one, other in zip(seen, back, strict=True)
-    )
+    ratios = [
+        one.ratio if one.ratio >= 0.0 else -max(other.ratio, 0.0)
+        for one, other in zip(seen, back, strict=True)
+    ]
+    return _beside_misfit(ratios, seen, back)
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """
+    What a channel says of a change: equation (1) of it alone, and by how much its squares are less.
+
+    With what is `left` over and the `change`, white, where it shows an axis that moves.
+    """
+
+    ratio: float
+    squares: float = 0.0
+    left: Array | None = None
+    change: Array | None = None
+    state: InLog | None = None
 
 
 def _seen_from(
     this: Hypothesis, other: Hypothesis, noise_known: bool, power_known: bool
-) -> list[float]:
+) -> list[_Channel]:
     """Return equation (1) with the noise that `this` leaves, channel by channel of every block."""
-    found: list[float] = []
+    found: list[_Channel] = []
     for block, fit in this.fits.items():
         if block == PRIOR:
-            found.append(fit.log_likelihood - other.fits[block].log_likelihood)
+            found.append(_Channel(fit.log_likelihood - other.fits[block].log_likelihood))
             continue
         if fit is other.fits[block]:
-            found += [0.0] * len(fit.colours)
+            found += [_Channel(0.0)] * len(fit.colours)
             continue
         left = fit.whitened
         before = in_deviations(fit.colours, other.residuals[block])
@@ -105,8 +129,47 @@ def _seen_from(
         powers = powers_along(left, changes, fit.colours)
         if power_known:
             powers = [power.as_if_known for power in powers]
-        found += log_likelihood_ratios_in(powers, squares)
+        ratios = log_likelihood_ratios_in(powers, squares)
+        states = [noise.state for noise in fit.noises]
+        found += [
+            _Channel(*one) for one in zip(ratios, squares, left, changes, states, strict=True)
+        ]
     return found
+
+
+def _beside_misfit(
+    ratios: Sequence[float], seen: Sequence[_Channel], back: Sequence[_Channel] = ()
+) -> float:
+    """
+    Return what is gained in all channels, on every axis no more than beside its misfit.
+
+    `ratios` are equation (1), which takes what is left over along d for noise, log by log. Misfit is the
+    same in all logs; so what is gained on an axis is the less of what either says. It is that of the
+    model that is ahead there: `seen` from the one, `back` from the other.
+    """
+    of_axis: dict[int, list[int]] = {}
+    total = 0.0
+    for place, channel in enumerate(seen):
+        if channel.state is None:
+            total += ratios[place]
+        else:
+            of_axis.setdefault(id(channel.state.functions), []).append(place)
+    for places in of_axis.values():
+        gained = sum(ratios[place] for place in places)
+        ahead = seen if gained >= 0.0 or not back else back
+        squares = abs(sum(ahead[place].squares for place in places))
+        most = _misfit_of([ahead[place] for place in places]).log_likelihood_ratio(squares)
+        total += math.copysign(min(abs(gained), most), gained)
+    return total
+
+
+def _misfit_of(channels: Sequence[_Channel]) -> Power:
+    """Return the power of the misfit of an axis along a change, in its channels log by log."""
+    return misfit.power_along(
+        [one.left for one in channels if one.left is not None],
+        [one.change for one in channels if one.change is not None],
+        [one.state for one in channels if one.state is not None],
+    )
 
 
 def log_occam(

@@ -49,7 +49,7 @@ def motion_basis(position: Array) -> Array:
     """
     if len(position) < FEWEST * 11 or not np.ptp(position) > 0.0:
         return np.zeros((len(position), 0))
-    p = _smooth(position - position.mean())
+    p = smooth(position - position.mean())
     rough = float(np.std(position - position.mean() - p))
     if np.ptp(p) < MOVES * rough:
         return np.zeros((len(position), 0))
@@ -69,7 +69,7 @@ def motion_basis(position: Array) -> Array:
     return np.asarray(left[:, size > 1e-6 * size[0]])
 
 
-def _smooth(position: Array) -> Array:
+def smooth(position: Array) -> Array:
     """
     Return the smoothing spline of a position (n,): least sum of squares of what it leaves, and of its
     third difference times a weight w.

@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
+from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
 Array = NDArray[np.float64]
@@ -70,7 +71,8 @@ class Noise:
     `beside` says how many places further on in the list of channels that one is with which it makes
     a pair, negative for the second of them, 0 for a channel by itself. Both have as many samples, of
     the same times. With `shapes` the spectrum of a channel by itself is a sum of those
-    (`variance_components`), not any one.
+    (`variance_components`), not any one. `state` has the functions of the state of the channel's axis,
+    of which what a model lacks may be made (`misfit`), in this log.
     """
 
     floor: float
@@ -78,6 +80,7 @@ class Noise:
     beside: int = 0
     shapes: Shapes | None = None
     freedom: int = FEWEST_FREEDOM
+    state: InLog | None = None
 
     def alone(self) -> Noise:
         """Return the noise of the channel by itself."""

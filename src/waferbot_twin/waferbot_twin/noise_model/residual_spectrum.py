@@ -25,13 +25,13 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
+from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
 Array = NDArray[np.float64]
@@ -106,32 +106,6 @@ def _cosines(samples: int, count: int) -> Array:
     """Return the first K cosines over N samples, (K, N): for few a third of the time of a transform."""
     middles = (np.arange(samples) + 0.5) * (math.pi / samples)
     return math.sqrt(2.0) * np.cos(np.outer(np.arange(1, count + 1), middles))
-
-
-@dataclass(frozen=True)
-class Power:
-    """The power of noise in a direction, and how many degrees of freedom it was estimated with."""
-
-    value: float
-    freedom: float
-
-    @property
-    def as_if_known(self) -> Power:
-        """The same power, taken for the true one."""
-        return Power(self.value, math.inf)
-
-    def log_likelihood_ratio(self, squares: float) -> float:
-        """
-        Return ln of the likelihood ratio of a change that lowers the sum of squares by so much.
-
-        (nu + 1) / 2 ln(1 + squares / (lambda nu)), that of Student's t: squares / (2 lambda) if nu is
-        large. Antisymmetric.
-        """
-        size = abs(squares) / self.value
-        if math.isinf(self.freedom):
-            return 0.5 * math.copysign(size, squares)
-        own = 0.5 * (self.freedom + 1.0) * math.log1p(size / self.freedom)
-        return math.copysign(own, squares)
 
 
 def powers_along(

@@ -14,6 +14,7 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Itself, Variant
+from waferbot_twin.noise_model.misfit import InLog, StateFunctions
 from waferbot_twin.noise_model.prediction_error import Fit, Noise, likelihood
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.controller_block import controller_block
@@ -137,6 +138,22 @@ class Problem:
                 if controller.channels:
                     self.blocks[CONTROLLER].append(controller)
             self._add_drive(record)
+        self._tell_states()
+
+    def _tell_states(self) -> None:
+        """Tell the noise of each channel of the plant the functions of its axis' state in all logs."""
+        of_channel: dict[str, list[tuple[PlantBlock, int]]] = {}
+        for part in self.plants:
+            for place, channel in enumerate(part.channels):
+                of_channel.setdefault(channel, []).append((part, place))
+        for channel, logs in of_channel.items():
+            functions = StateFunctions(
+                tuple(part.measured(channel) for part, _ in logs),
+                tuple(part.rates_hz[place] for part, place in logs),
+            )
+            for number, (part, place) in enumerate(logs):
+                noise = part.noises[place]
+                part.noises[place] = replace(noise, state=InLog(functions, number))
 
     def _add_drive(self, record: Record) -> None:
         """Prepare amplifier and windings, or without voltages both as one."""

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Misfit: what a model lacks is no noise, and the same in all logs.
+
+A force that nothing in a library explains is a function of the state of its axis, whichever log it is
+seen in. So of what a model leaves over, e, white, that part counts as misfit which such functions span:
+piecewise linear ones, of position beside speed, of speed (closer to one another near rest), and of
+acceleration by direction (`StateFunctions`), as orthonormal columns Q (N, k) over all logs,
+
+    phi = max(1, |Q' e|^2 / k).                                                                    (1)
+
+White noise has phi = 1; misfit has as much more as its power in each of these directions is: the
+variance of a Gaussian process over the state, of low rank, found from the residual itself (empirical
+Bayes; for why it has to be there M. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63, 2001). A change d of the
+model, of which the share rho = |Q' d|^2 / |d|^2 lies among these directions, might as well be a part of
+the misfit: along d there is the power
+
+    lambda = 1 + rho (phi - 1),        known with nu = k (lambda / (lambda - 1))^2                 (2)
+
+degrees of freedom. So a cause has to gain more than what is left over in other directions of its kind
+would by chance (`estimation.evidence`).
+
+Limit: what goes with something else than the state of its own axis, with time or another axis, is noise
+here; so is a ripple that is finer than the functions over position.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from waferbot_twin.noise_model.gram import spanning
+from waferbot_twin.noise_model.motion_basis import smooth
+from waferbot_twin.noise_model.power import Power
+
+Array = NDArray[np.float64]
+
+POSITIONS = 8
+"""Points over the way of an axis."""
+
+SPEEDS = (-1.0, -0.5, -0.2, -0.08, -0.03, -0.01, 0.0, 0.01, 0.03, 0.08, 0.2, 0.5, 1.0)
+SLOPES = (-1.0, -0.1, 0.0, 0.1, 1.0)
+"""Points over its speed, alone and beside its position, as shares of the largest."""
+
+ACCELERATIONS = (-1.0, -0.3, -0.1, -0.02, 0.0, 0.02, 0.1, 0.3, 1.0)
+"""Points over its acceleration, likewise."""
+
+FEWEST = 10
+"""Samples for each function at least."""
+
+MEANS_HZ = 250.0
+"""Rate of the means of samples on which all this is done: a state changes more slowly."""
+
+
+@dataclass(frozen=True)
+class StateFunctions:
+    """The functions of the state of one axis in some logs: its positions, and their rates in Hz."""
+
+    positions: tuple[Array, ...]
+    rates_hz: tuple[float, ...]
+
+    @cached_property
+    def columns(self) -> list[Array]:
+        """Q of every log, (n, k): orthonormal over all logs together. k is 0 of an axis that stands."""
+        states = [
+            _state(_sums(position, every) / every, rate_hz / every)
+            for position, rate_hz, every in zip(
+                self.positions, self.rates_hz, self.every, strict=True
+            )
+        ]
+        whole = np.concatenate(states)
+        nothing = [np.zeros((len(one), 0)) for one in states]
+        if not np.all(np.ptp(whole, axis=0) > 0.0):
+            return nothing
+        least, (_, fastest, hardest) = whole[:, 0].min(), np.abs(whole).max(axis=0)
+        way = np.linspace(least, whole[:, 0].max(), POSITIONS)
+        raw = [_functions(one, way, fastest, hardest) for one in states]
+        together = np.concatenate(raw)
+        if len(together) < FEWEST * together.shape[1]:
+            return nothing
+        size = np.linalg.norm(together, axis=0)
+        scaled = together / np.where(size > 0.0, size, 1.0)
+        basis = scaled @ spanning(scaled.T @ scaled)
+        return np.split(basis, np.cumsum([len(one) for one in states])[:-1])
+
+    @property
+    def every(self) -> list[int]:
+        """How many samples a mean is of, log by log."""
+        return [max(1, round(rate_hz / MEANS_HZ)) for rate_hz in self.rates_hz]
+
+
+@dataclass(frozen=True)
+class InLog:
+    """The functions of a state in one of the logs that they were made for."""
+
+    functions: StateFunctions
+    place: int
+
+    def along(self, white: Array) -> Array:
+        """Return Q' of this log times a channel (n,), white; of its last samples, if it has fewer."""
+        every = self.functions.every[self.place]
+        means = _sums(white, every) / math.sqrt(every)
+        own = self.functions.columns[self.place]
+        return np.asarray(own[len(own) - len(means) :].T @ means)
+
+    @property
+    def count(self) -> int:
+        """How many functions there are: k."""
+        return int(self.functions.columns[self.place].shape[1])
+
+
+def _sums(samples: Array, every: int) -> Array:
+    """Return the sums of every so many samples, as many from the end as there are."""
+    whole = len(samples) // every * every
+    return np.asarray(samples[len(samples) - whole :].reshape(-1, every).sum(axis=1))
+
+
+def _state(position: Array, rate_hz: float) -> Array:
+    """Return position, speed and acceleration of an axis, (n, 3)."""
+    if len(position) < FEWEST:
+        return np.zeros((len(position), 3))
+    middle = float(position.mean())
+    way = smooth(position - middle)
+    speed = np.gradient(way) * rate_hz
+    return np.column_stack([way + middle, speed, np.gradient(speed) * rate_hz])
+
+
+def _functions(state: Array, way: Array, fastest: float, hardest: float) -> Array:
+    position, speed, acceleration = state.T
+    over_way, slopes = _hats(position, way), _hats(speed, fastest * np.array(SLOPES))
+    harder = _hats(acceleration, hardest * np.array(ACCELERATIONS))
+    return np.column_stack(
+        [
+            (over_way[:, :, None] * slopes[:, None, :]).reshape(len(state), -1),
+            _hats(speed, fastest * np.array(SPEEDS)),
+            harder,
+            harder * np.sign(speed)[:, None],
+        ]
+    )
+
+
+def _hats(values: Array, points: Array) -> Array:
+    """Return the piecewise linear functions that are 1 at one of some points and 0 at the others."""
+    return np.column_stack([np.interp(values, points, row) for row in np.eye(len(points))])
+
+
+def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog]) -> Power:
+    """
+    Return the power of misfit in a direction, equation (2), in the channels of one axis, log by log.
+
+    `left` and `changes` are e and d, white.
+    """
+    count = logs[0].count
+    square = sum(float(change @ change) for change in changes)
+    if not count or square == 0.0:
+        return Power(1.0, math.inf)
+    misfit, along = (
+        np.sum([log.along(white) for log, white in zip(logs, rows, strict=True)], axis=0)
+        for rows in (left, changes)
+    )
+    excess = max(float(misfit @ misfit) / count - 1.0, 0.0)
+    excess *= min(float(along @ along) / square, 1.0)
+    power = 1.0 + excess
+    return Power(power, count * (power / excess) ** 2 if excess > 0.0 else math.inf)

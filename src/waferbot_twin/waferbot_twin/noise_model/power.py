@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The power of noise or misfit in a direction, and what a gain is worth beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Power:
+    """The power of noise in a direction, and how many degrees of freedom it was estimated with."""
+
+    value: float
+    freedom: float
+
+    @property
+    def as_if_known(self) -> Power:
+        """The same power, taken for the true one."""
+        return Power(self.value, math.inf)
+
+    def log_likelihood_ratio(self, squares: float) -> float:
+        """
+        Return ln of the likelihood ratio of a change that lowers the sum of squares by so much.
+
+        (nu + 1) / 2 ln(1 + squares / (lambda nu)), that of Student's t: squares / (2 lambda) if nu is
+        large. Antisymmetric.
+        """
+        size = abs(squares) / self.value
+        if math.isinf(self.freedom):
+            return 0.5 * math.copysign(size, squares)
+        own = 0.5 * (self.freedom + 1.0) * math.log1p(size / self.freedom)
+        return math.copysign(own, squares)
