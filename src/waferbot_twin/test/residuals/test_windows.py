@@ -9,6 +9,7 @@ import os
 import numpy as np
 import pytest
 
+from waferbot_twin.diagnosis import notes
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import fit_causes
@@ -71,13 +72,16 @@ def judged_s(windows):
 
 def test_a_log_that_is_not_too_long_is_used_whole(motor, random) -> None:
     whole = record(motor, random, 0.9 * ENOUGH_S)
-    assert in_windows([whole], motor) == ([whole], [])
+    (windows,) = in_windows([whole], motor)
+    assert windows.spans_s == ()
+    assert windows.records == [whole]
 
 
 def test_windows_are_where_the_axis_moves(motor, random) -> None:
     begin_s = 2.0 * ENOUGH_S
     whole = record(motor, random, 4.0 * ENOUGH_S, (begin_s, begin_s + 0.7 * ENOUGH_S))
-    windows, (note,) = in_windows([whole], motor)
+    (found,) = in_windows([whole], motor)
+    windows = found.records
     assert judged_s(windows) == pytest.approx(ENOUGH_S, rel=1e-3)
     moving = sum(
         np.count_nonzero(
@@ -87,25 +91,31 @@ def test_windows_are_where_the_axis_moves(motor, random) -> None:
     )
     in_all = np.count_nonzero(np.diff(whole.reading[np.isfinite(whole.reading[:, PLACE]), PLACE]))
     assert moving > 0.95 * in_all
+    errors = found.rms_errors(motor, motor)
+    (inside, outside) = errors[AXIS]
+    assert inside > outside  # friction lacks, and the axis stands in the rest
+    note = notes.in_windows(whole, found.spans_s, motor, errors)
     assert note.startswith(
         f'log is longer than needed: of its {4 * ENOUGH_S:.1f} s those {ENOUGH_S:.1f} s'
     )
+    assert 'rad RMS there on X-Rotate, and ' in note
 
 
 def test_two_logs_share_what_is_enough_and_both_are_used(motor, random) -> None:
     logs = [record(motor, random, 2.0 * ENOUGH_S), record(motor, random, 1.5 * ENOUGH_S)]
-    windows, notes = in_windows(logs, motor)
+    windows = [part for one in in_windows(logs, motor) for part in one.records]
     assert judged_s(windows) == pytest.approx(ENOUGH_S, rel=1e-3)
     assert len(windows) <= 2 * WINDOWS
-    assert len(notes) == 2
+    assert {window.name.split()[0] for window in windows} == {'log'}
+    assert all(one.spans_s for one in in_windows(logs, motor))
 
 
 def test_windows_tell_what_the_whole_log_does(motor, random) -> None:
     whole = record(motor, random, 3.0 * ENOUGH_S)
-    windows, _ = in_windows([whole], motor)
+    (windows,) = in_windows([whole], motor)
     effect = find('viscous_friction')
     start = Cause(effect, AXIS, effect.typical(motor, AXIS))
-    found = fit_causes(Problem(motor, windows), (start,))
+    found = fit_causes(Problem(motor, windows.records), (start,))
     (error,) = standard_errors(found)
     (cause,) = found.causes
     assert cause.values['damping'] == pytest.approx(FRICTION, abs=4.0 * error)
@@ -123,4 +133,5 @@ def test_a_part_begins_in_motion_and_has_the_same_signals(motor, random) -> None
 
 def test_a_machine_with_the_twins_controller_is_used_whole(motor, random) -> None:
     whole = record(motor, random, 3.0 * ENOUGH_S)
-    assert in_windows([whole], Variant.of(load_model('rigid'))) == ([whole], [])
+    (windows,) = in_windows([whole], Variant.of(load_model('rigid')))
+    assert windows.records == [whole]

@@ -45,7 +45,7 @@ from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
-from waferbot_twin.residuals.windows import in_windows
+from waferbot_twin.residuals.windows import Windows, in_windows
 from waferbot_twin.validation.gain import AxisGain
 from waferbot_twin.validation.holdout import extension_that_wins, fitted_to, without_refuted
 
@@ -151,14 +151,15 @@ def diagnose(
     if not validation:
         estimation, validation = _divide(estimation)
         notes.append(said.ONE_LOG)
-    (estimation, used), (validation, used_too) = (
-        in_windows(records, nominal) for records in (estimation, validation)
+    windows = [*in_windows(estimation, nominal), *in_windows(validation, nominal)]
+    estimation, validation = (
+        [part for one in some for part in one.records]
+        for some in (windows[: len(estimation)], windows[len(estimation) :])
     )
     records = [*estimation, *validation]
     if not all(record.is_imported or record.closes_loop for record in records):
         notes.append(said.NO_CONTROLLER)
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
-    notes += [*used, *used_too]
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
     groups = prior_groups(numbers)
@@ -204,6 +205,7 @@ def diagnose(
     corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
     extended = apply_all(nominal, [*corrected, *(item.cause for item in every)])
     notes += _stands_for(extended, [item.cause for item in causes])
+    notes += [_used(one, nominal, extended) for one in windows if one.spans_s]
     return Diagnosis(
         nominal,
         extended,
@@ -301,6 +303,15 @@ def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
         and axis not in effect.distinct_axes(variant)
         and all(f'{name}:{axis}' in names for name in effect.same_as)
     ]
+
+
+def _used(windows: Windows, nominal: Variant, extended: Variant) -> str:
+    """Say which windows of a log were used, and what the extended model leaves over in the rest."""
+    try:
+        errors = windows.rms_errors(nominal, extended)
+    except UserError:
+        errors = {}
+    return said.in_windows(windows.record, windows.spans_s, nominal, errors)
 
 
 def _residual_rms(problem: Problem, hypothesis: Hypothesis) -> dict[str, dict[str, float]]:

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from waferbot_twin.diagnosis.wording import title
+from waferbot_lockstep.contract import AXIS_OF
+from waferbot_twin.diagnosis.wording import metres_per_count, title
 from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.plain_values import with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.problem import Cause
+from waferbot_twin.residuals.record import Record
 
 ONE_LOG = 'one log only: the gain is that in its last part, which was not used for the fit'
 
@@ -35,6 +39,35 @@ def worse_with(cause: Cause) -> str:
     """Say that the extended model is better in closed loop without a cause."""
     better = 'the extended model is nearer to the validation data without it'
     return f'{title(cause)} was withdrawn: {better}'
+
+
+def in_windows(
+    record: Record,
+    spans_s: Sequence[tuple[float, float]],
+    nominal: Variant,
+    errors: Mapping[str, tuple[float, float]],
+) -> str:
+    """
+    Say which windows of a log were used, and what the extended model leaves over there and elsewhere.
+
+    `errors` are RMS values in counts, by encoder, in these windows and in the rest.
+    """
+    used_s, whole_s = sum(last - first for first, last in spans_s), record.duration_s
+    spans = ', '.join(f'{first:.1f} to {last:.1f}' for first, last in spans_s)
+    said = (
+        f'{record.name} is longer than needed: of its {whole_s:.1f} s those {used_s:.1f} s were used '
+        f'that tell most of its motion ({spans} s)'
+    )
+    for channel, both in errors.items():
+        axis = AXIS_OF[channel]
+        per_count, unit = metres_per_count(nominal, axis)
+        factor, unit = with_prefix(max(both) * per_count, unit)
+        inside, outside = (f'{factor * per_count * value:.3g}' for value in both)
+        said += (
+            f'; the extended model leaves over {inside} {unit} RMS there on {TITLES[axis]}, '
+            f'and {outside} {unit} in the rest'
+        )
+    return said
 
 
 def stands_for(name: str, axis: str, same_as: Sequence[str]) -> str:

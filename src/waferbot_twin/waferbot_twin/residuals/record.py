@@ -66,6 +66,7 @@ class Record:
     skew_spread_s standard deviation of what is not known of the time of each axis' drive against its
                   position, s: 0 where a log has the same clock for both, and every tick
     notes         what a reader of the results should know of the log
+    log           name of the log that it is a part of; empty of a whole one
 
     `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
     have a reading in every row: `late_s` and gaps of NaN keep the times at which it was really measured.
@@ -95,6 +96,7 @@ class Record:
     force_driven: tuple[str, ...] = ()
     skew_spread_s: tuple[float, ...] = (0.0,) * len(AXES)
     notes: tuple[str, ...] = ()
+    log: str = ''
 
     @property
     def is_imported(self) -> bool:
@@ -190,7 +192,8 @@ class Record:
         rows = slice(ticks.start // timing.encoder_divider, ticks.stop // timing.encoder_divider)
         return replace(
             self,
-            name=f'{self.name} {first_s:.2f} to {last_s:.2f} s',
+            name=f'{self.log or self.name} {first_s:.2f} to {last_s:.2f} s',
+            log=self.log or self.name,
             line_current=self.line_current[ticks],
             reading=self.reading[rows],
             commanded=None if self.commanded is None else self.commanded[cycles],

@@ -23,11 +23,13 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.metrics import rms
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.record import Array, Record
 
@@ -41,46 +43,61 @@ LEAD = 0.1
 """Share of a window that is simulated before it and not judged."""
 
 
-def in_windows(records: Sequence[Record], nominal: Variant) -> tuple[list[Record], list[str]]:
-    """Return what is used of some logs, and for each that is longer than needed a note what that is."""
-    found: list[Record] = []
-    notes: list[str] = []
-    for record in records:
-        windows = _chosen(record, nominal, ENOUGH_SAMPLES / len(records))
-        found += [record.part(first, last, begin) for begin, first, last in windows] or [record]
-        if windows:
-            used_s, whole_s = sum(last - first for _, first, last in windows), record.duration_s
-            spans = ', '.join(f'{first:.1f} to {last:.1f}' for _, first, last in windows)
-            notes.append(
-                f'{record.name} is longer than needed: of its {whole_s:.1f} s those {used_s:.1f} '
-                f's were used that tell most of its motion ({spans} s)'
-            )
-    return found, notes
+@dataclass(frozen=True)
+class Windows:
+    """A log and the times (s, s) of the windows that are used of it; none if all of it is."""
+
+    record: Record
+    spans_s: tuple[tuple[float, float], ...] = ()
+    lead_s: float = 0.0
+
+    @property
+    def records(self) -> list[Record]:
+        """What is used, as logs."""
+        return [
+            self.record.part(first, last, max(first - self.lead_s, 0.0))
+            for first, last in self.spans_s
+        ] or [self.record]
+
+    def rms_errors(self, nominal: Variant, variant: Variant) -> dict[str, tuple[float, float]]:
+        """
+        Return what a variant leaves over of every encoder, counts RMS, in the windows and in the rest.
+
+        Raises `UserError` if the simulation blows up.
+        """
+        block = PlantBlock(self.record, nominal)
+        found = {}
+        for channel, error in zip(block.channels, block.innovations(variant), strict=True):
+            time_s = block.times_s(channel)
+            inside = np.any([(time_s >= a) & (time_s < b) for a, b in self.spans_s], axis=0)
+            found[channel] = (rms(error[inside]), rms(error[~inside]))
+        return found
 
 
-def _chosen(record: Record, nominal: Variant, enough: float) -> list[tuple[float, float, float]]:
-    """Return the beginning, the first and the last time judged of windows, s; none if all is needed."""
+def in_windows(records: Sequence[Record], nominal: Variant) -> list[Windows]:
+    """Return what is used of some logs, of each what tells most if it is longer than needed."""
+    return [_chosen(record, nominal, ENOUGH_SAMPLES / len(records)) for record in records]
+
+
+def _chosen(record: Record, nominal: Variant, enough: float) -> Windows:
     if any(nominal.pmac.values()):
-        return []
+        return Windows(record)
     block = PlantBlock(record, nominal)
     judged_s = record.duration_s - record.judged_from_s
     enough_s = enough / max(block.rates_hz, default=1.0)
     if judged_s <= enough_s:
-        return []
+        return Windows(record)
     length_s = enough_s / WINDOWS
     count = int(judged_s / length_s)
     edges_s: Array = record.judged_from_s + length_s * np.arange(count + 1.0)
-    told = _told(block, edges_s)
-    chosen = sorted(_most_informative(told, WINDOWS))
-    lead_s = LEAD * length_s
-    windows: list[tuple[float, float, float]] = []
-    for place in chosen:
+    spans: list[tuple[float, float]] = []
+    for place in sorted(_most_informative(_told(block, edges_s), WINDOWS)):
         first, last = float(edges_s[place]), float(edges_s[place + 1])
-        if windows and windows[-1][2] == first:
-            windows[-1] = (*windows[-1][:2], last)
+        if spans and spans[-1][1] == first:
+            spans[-1] = (spans[-1][0], last)
         else:
-            windows.append((max(first - lead_s, 0.0), first, last))
-    return windows
+            spans.append((first, last))
+    return Windows(record, tuple(spans), LEAD * length_s)
 
 
 def _told(block: PlantBlock, edges_s: Array) -> list[Array]:
