@@ -57,3 +57,46 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     assert not forward
     assert not left
     assert {cause.name for cause in found.causes} >= {'friction'}
+
+
+@pytest.mark.parametrize(
+    ('ahead', 'then', 'taken', 'asked'),
+    [
+        # the first is ahead of the force without a name already
+        ([1.0], [], ['a'], 0),
+        # two do together what it does alone
+        ([-5.0, 2.0], [['b']], ['a', 'b'], 1),
+        # they never are, and no more is there
+        ([-5.0], [['force_over_velocity']], [], 1),
+        # nor may more be asked for
+        ([-5.0, -1.0, -0.5, -0.2], [['b'], ['c'], ['d']], [], 3),
+    ],
+)
+def test_several_causes_may_do_what_a_force_without_a_name_does(
+    monkeypatch, ahead, then, taken, asked
+):
+    def effect(*names):
+        members = tuple(
+            SimpleNamespace(
+                cause=SimpleNamespace(name=name, effect=SimpleNamespace(name=name)),
+                found=hypothesis(name),
+            )
+            for name in names
+        )
+        return SimpleNamespace(members=members, best=members[0], inclusion=1.0)
+
+    ahead, then = list(ahead), [effect(*names) for names in then]
+    monkeypatch.setattr(search, 'with_last', lambda problem, found, name: found)
+    monkeypatch.setattr(
+        search,
+        'posterior_of',
+        lambda base, members: effect(members[0].cause.name) if members else None,
+    )
+    monkeypatch.setattr(search, '_fitted_on', lambda pool, found, causes: found)
+    monkeypatch.setattr(search, '_log_odds_between', lambda pool, one, other: ahead.pop(0))
+    monkeypatch.setattr(search, '_ask', lambda pool, base: then.pop(0) if then else None)
+    pool = SimpleNamespace(problem=None, settings=Settings())
+    first = effect('force_over_velocity', 'a')
+    chosen, _, more = search._by_names(pool, hypothesis(), first, 3)
+    assert [one.best.cause.name for one in chosen] == taken
+    assert more == asked

@@ -14,6 +14,7 @@ from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
+from waferbot_twin.diagnosis.proposals.periodogram import tuned_to
 from waferbot_twin.diagnosis.proposals.screening import (
     Gain,
     candidates,
@@ -231,3 +232,20 @@ def test_what_the_logs_tell_beside_another_cause_as_a_difference_only_is_offered
         problem, base, rivals, found, all_signatures(quick, begun), Settings().prior_scales
     )
     assert first.likelihood > BEYOND_DOUBT
+
+
+def test_a_tone_promises_what_it_gains_though_noise_could_have_its_colour():
+    """Two encoders of an axis have any spectrum as noise, and a floor that shakes is a line in it."""
+    nominal = Variant.of(load_model('rigid'))
+    true = Cause(
+        find('floor_vibration'), 'y_rotate', {'cosine': 0.15, 'sine': 0.08, 'frequency': 55.5}
+    )
+    problem = log_of(nominal, true, 'random_y_rotate')
+    base = evaluate(problem)
+    (tuned,) = tuned_to(
+        problem, true.with_values({'cosine': 0.0, 'sine': 0.0}), 'frequency', [55.5]
+    )
+    found = signatures(problem, base, [tuned], 1, quiet)
+    (first,) = screen(problem, base, [tuned], found, [], Settings().prior_scales)
+    gained = gain(evaluate(problem, (true,)), base, power_known=True)
+    assert first.likelihood > 0.5 * gained > BEYOND_DOUBT

@@ -185,7 +185,9 @@ def _by_names(
         there = _fitted_on(pool, own.best.found, own.best.found.causes)
         if _log_odds_between(pool, there, unnamed) > 0.0:
             return chosen, there, asked
-        more = _ask(pool, there) if asked < most else None
+        if asked >= most:
+            return [], base, asked
+        more = _ask(pool, there)
         asked += 1
         if more is None:
             return [], base, asked

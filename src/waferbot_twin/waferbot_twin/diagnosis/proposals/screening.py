@@ -48,7 +48,12 @@ from waferbot_twin.estimation.size_prior import (
     posterior_covariance,
     precision_at,
 )
-from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
+from waferbot_twin.estimation.stacked_least_squares import (
+    Signature,
+    by_channel,
+    fit_jointly,
+    side_by_side,
+)
 from waferbot_twin.noise_model.gram import spanning
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
@@ -82,7 +87,7 @@ class Change:
     (`hypothesis.with_next_to_none`). Of most there is none.
 
     `own` is what one that lets a part go gains as it is, in the noise that is left with it, beside the
-    causes `beside`.
+    causes `beside`; or a tone at `value`, which without it is the colour of the noise.
     """
 
     signature: Signature
@@ -90,6 +95,7 @@ class Change:
     gained: Mapping[tuple[str, int], float] = field(default_factory=dict)
     own: Gain | None = None
     beside: tuple[Values, ...] = ()
+    value: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -210,16 +216,14 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
         change = whole_change(problem, base, causes)
         if not lets_go(problem, base.causes, rival):
             return Change(change)
-        nothing = {block: np.zeros_like(part) for block, part in change.items()}
-        # The residuals of `base` are those of longer steps, its noise is not.
-        without, as_it_is = (changed_by(problem, base.residuals, one) for one in (nothing, change))
         return Change(
             change,
-            own=Gain(gain(as_it_is, without), gain(as_it_is, without, power_known=True)),
+            own=_in_own_noise(problem, base, change),
             beside=that_touch(problem, base.causes, blocks),
         )
     if rival.effect.begins_at == 0.0:
-        return Change(signature(problem, base, causes, len(causes) - 1))
+        slopes = signature(problem, base, causes, len(causes) - 1)
+        return _as_a_tone(problem, base, slopes) if rival.narrow else Change(slopes)
     begun = evaluate(problem, causes)
     # The residuals of `base` are those of longer steps, its noise is not.
     judged = problem.judge({block: base.residuals[block] for block in blocks})
@@ -234,6 +238,26 @@ def _change(problem: Problem, base: Hypothesis, causes: tuple[Cause, ...]) -> Ch
         begun,
         gained if sum(gained.values()) < 0.0 else {},
     )
+
+
+def _as_a_tone(problem: Problem, base: Hypothesis, slopes: Signature) -> Change:
+    """
+    Return what a tone changes, with its size in the noise that is left with it.
+
+    A tone is predictable, so the noise of the model without has its colour, and hides most of it.
+    """
+    value = fit_jointly(problem, base.residuals, slopes).value
+    change = {block: (matrix @ value)[:, None] for block, matrix in slopes.items()}
+    beside = that_touch(problem, base.causes, slopes)
+    return Change(slopes, own=_in_own_noise(problem, base, change), beside=beside, value=value)
+
+
+def _in_own_noise(problem: Problem, base: Hypothesis, change: Signature) -> Gain:
+    """Return what a change gains where the model with it, and the one without, have their own noise."""
+    nothing = {block: np.zeros_like(part) for block, part in change.items()}
+    # The residuals of `base` are those of longer steps, its noise is not.
+    without, as_it_is = (changed_by(problem, base.residuals, one) for one in (nothing, change))
+    return Gain(gain(as_it_is, without), gain(as_it_is, without, power_known=True))
 
 
 def values_of(cause: Cause) -> Values:
@@ -321,11 +345,11 @@ def _screen(
         else:
             beside = known[blocks] = _Known.of(base, together, blocks)
         linear = _Linear.of(beside, _white(change.begun or base, shown), change.gained)
+        now = change.beside == that_touch(problem, base.causes, change.signature)
         if _tried_as_a_whole(problem, rival):
-            now = change.beside == that_touch(problem, base.causes, change.signature)
             item = linear.as_a_whole(rival, change.own if now else None)
         else:
-            item = linear.with_values(problem, rival, scales)
+            item = linear.with_values(problem, rival, scales, change if now else None)
         if item is not None:
             found.append(item)
     return found
@@ -530,14 +554,20 @@ class _Linear:
         return gained.screened(rival, np.zeros(rival.free), -0.5 * math.log1p(self.square))
 
     def with_values(
-        self, problem: Problem, rival: Cause, scales: Sequence[float]
+        self, problem: Problem, rival: Cause, scales: Sequence[float], change: Change | None
     ) -> Screened | None:
         """
         Return the evidence for a candidate whose signature are slopes over its parameters.
 
         None if it asks for nothing that the bounds allow. That is asked of the values with the prior: of
-        two of which the logs tell a difference only, without it both may be anywhere.
+        two of which the logs tell a difference only, without it both may be anywhere. `change` has the
+        value in another noise, where that gains more.
         """
+        other = change.own if change is not None else None
+        if change is not None and change.value is not None and other is not None:
+            own = replace(self, value=change.value, fitted=other)
+            if other.likelihood > self.fitted.likelihood:
+                return own.with_values(problem, rival, scales, None)
         parameters = parameters_of(problem, rival)
         shown = [place for place in range(len(parameters)) if self.information[place, place] > 0.0]
         seen, known = (
