@@ -22,6 +22,7 @@ from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
+from waferbot_twin.diagnosis.inference.exactness import as_likely_as_not_where_inexact, inexact
 from waferbot_twin.diagnosis.inference.nuisance import (
     corrections,
     is_nuisance,
@@ -199,11 +200,13 @@ def diagnose(
     posterior = posterior.without(problem, [cause.name for cause in withdrawn], workers)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior, notes = replace(posterior, found=updated), [*notes, *told]
+    posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
     left = unexplained(problem, posterior, settings)
     every = _found_causes(problem, posterior, settings)
     causes = [item for item in every if item.inclusion >= settings.named_from]
     corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
     extended = apply_all(nominal, [*corrected, *(item.cause for item in every)])
+    notes += [said.not_exact(block, axis) for block, axis in inexact(problem, posterior)]
     notes += _stands_for(extended, [item.cause for item in causes])
     notes += [_used(one, nominal, extended) for one in windows if one.spans_s]
     return Diagnosis(

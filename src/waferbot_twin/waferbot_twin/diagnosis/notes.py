@@ -41,6 +41,14 @@ def worse_with(cause: Cause) -> str:
     return f'{title(cause)} was withdrawn: {better}'
 
 
+def not_exact(block: str, axis: str) -> str:
+    """Say that a block without noise leaves something over, so that nothing found there is sure."""
+    return (
+        f'the {block} of {TITLES[axis]} follows from its input to the last bit, and something is left '
+        'over: what was found there alone may stand for what is not in the library, and has no name'
+    )
+
+
 def in_windows(
     record: Record,
     spans_s: Sequence[tuple[float, float]],

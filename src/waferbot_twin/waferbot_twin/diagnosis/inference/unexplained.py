@@ -28,6 +28,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.discrepancy import goes_with, is_discrepancy
+from waferbot_twin.diagnosis.inference.exactness import inexact
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior
 from waferbot_twin.effects.places import motor_axes
@@ -62,10 +63,8 @@ def unexplained(problem: Problem, posterior: Posterior, settings: Settings) -> l
         for place, cause in enumerate(posterior.found.causes)
         if is_discrepancy(cause)
     ]
-    for block in problem.exact_blocks:
-        for axis in sorted(problem.plain_axes(block, posterior.found.residuals[block])):
-            share = _left(problem, posterior, block, axis)
-            found.append(Unexplained(axis, block, share, 'its input'))
+    for block, axis in inexact(problem, posterior):
+        found.append(Unexplained(axis, block, _left(problem, posterior, block, axis), 'its input'))
     found += _with_command(problem, posterior, settings)
     largest: dict[tuple[str, str], Unexplained] = {}
     for item in sorted(found, key=lambda one: -one.share):
