@@ -30,6 +30,9 @@ POINTS = 7
 NAMES = {'velocity': 'force_over_velocity', 'position': 'force_over_position'}
 WORDS = {'velocity': 'its speed', 'position': 'its position'}
 
+SMOOTHED_S = 0.01
+"""Time over which readings are averaged before their speed is taken, s."""
+
 STANDS_COUNTS = 50.0
 """An axis that moves less than this in all logs is taken to stand."""
 
@@ -49,9 +52,8 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
             continue
         positions[axis] = _points(known / encoder.counts_per_unit)
         rates = [
-            np.gradient(_smooth(record.reading[:, column]))
-            * record.timing.current_loop_hz
-            / record.timing.encoder_divider
+            np.gradient(_smooth(record.reading[:, column], record.timing.encoder_hz))
+            * record.timing.encoder_hz
             for record in records
         ]
         fastest = max(float(np.nanmax(np.abs(rate))) for rate in rates) / encoder.counts_per_unit
@@ -69,15 +71,16 @@ def goes_with(cause: Cause) -> str:
     return next(WORDS[over] for over, name in NAMES.items() if name == cause.effect.name)
 
 
-def _smooth(reading: np.ndarray) -> np.ndarray:
-    """Return readings averaged over 5 ms, so that counts do not look like speed."""
-    kernel = np.hanning(91)
+def _smooth(reading: np.ndarray, rate_hz: float) -> np.ndarray:
+    """Return readings averaged over `SMOOTHED_S`, so that counts do not look like speed."""
+    reach = max(1, round(0.5 * SMOOTHED_S * rate_hz))
+    kernel = np.hanning(2 * reach + 3)
     filled = np.interp(
         np.arange(len(reading)),
         np.flatnonzero(np.isfinite(reading)),
         reading[np.isfinite(reading)],
     )
-    return np.convolve(filled, kernel / kernel.sum(), mode='same')[91:-91]
+    return np.convolve(filled, kernel / kernel.sum(), mode='same')[len(kernel) : -len(kernel)]
 
 
 def _points(values: np.ndarray) -> tuple[float, ...]:
