@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.special import logsumexp
@@ -57,7 +57,6 @@ from waferbot_twin.estimation.size_prior import (
 )
 from waferbot_twin.noise_model import misfit
 from waferbot_twin.noise_model.misfit import InLog
-from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.prior_block import log_normaliser
@@ -100,8 +99,8 @@ class _Channel:
 
     ratio: float
     squares: float = 0.0
-    left: Array | None = None
-    change: Array | None = None
+    left: Array = field(default_factory=lambda: np.zeros(0))
+    change: Array = field(default_factory=lambda: np.zeros(0))
     state: InLog | None = None
 
 
@@ -147,29 +146,17 @@ def _beside_misfit(
     same in all logs; so what is gained on an axis is the less of what either says. It is that of the
     model that is ahead there: `seen` from the one, `back` from the other.
     """
-    of_axis: dict[int, list[int]] = {}
-    total = 0.0
-    for place, channel in enumerate(seen):
-        if channel.state is None:
-            total += ratios[place]
-        else:
-            of_axis.setdefault(id(channel.state.functions), []).append(place)
-    for places in of_axis.values():
+    states = [channel.state for channel in seen]
+    total = sum(ratio for ratio, state in zip(ratios, states, strict=True) if state is None)
+    for places, logs in misfit.of_axes(states):
         gained = sum(ratios[place] for place in places)
         ahead = seen if gained >= 0.0 or not back else back
         squares = abs(sum(ahead[place].squares for place in places))
-        most = _misfit_of([ahead[place] for place in places]).log_likelihood_ratio(squares)
-        total += math.copysign(min(abs(gained), most), gained)
+        left = [ahead[place].left for place in places]
+        changes = [ahead[place].change for place in places]
+        power = misfit.power_along(left, changes, logs)
+        total += math.copysign(min(abs(gained), power.log_likelihood_ratio(squares)), gained)
     return total
-
-
-def _misfit_of(channels: Sequence[_Channel]) -> Power:
-    """Return the power of the misfit of an axis along a change, in its channels log by log."""
-    return misfit.power_along(
-        [one.left for one in channels if one.left is not None],
-        [one.change for one in channels if one.change is not None],
-        [one.state for one in channels if one.state is not None],
-    )
 
 
 def log_occam(

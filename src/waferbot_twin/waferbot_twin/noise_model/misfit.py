@@ -102,7 +102,7 @@ class InLog:
     place: int
 
     def along(self, white: Array) -> Array:
-        """Return Q' of this log times a channel (n,), white; of its last samples, if it has fewer."""
+        """Return Q' of this log times a channel (n,) or (n, m), white; of its last samples if fewer."""
         every = self.functions.every[self.place]
         means = _sums(white, every) / math.sqrt(every)
         own = self.functions.columns[self.place]
@@ -115,9 +115,10 @@ class InLog:
 
 
 def _sums(samples: Array, every: int) -> Array:
-    """Return the sums of every so many samples, as many from the end as there are."""
+    """Return the sums of every so many samples (n,) or (n, m), as many from the end as there are."""
     whole = len(samples) // every * every
-    return np.asarray(samples[len(samples) - whole :].reshape(-1, every).sum(axis=1))
+    grouped = samples[len(samples) - whole :].reshape(-1, every, *samples.shape[1:])
+    return np.asarray(grouped.sum(axis=1))
 
 
 def _state(position: Array, rate_hz: float) -> Array:
@@ -149,21 +150,50 @@ def _hats(values: Array, points: Array) -> Array:
     return np.column_stack([np.interp(values, points, row) for row in np.eye(len(points))])
 
 
+def of_axes(states: Sequence[InLog | None]) -> list[tuple[list[int], list[InLog]]]:
+    """Return the places of the channels of each axis that moves, and their functions, log by log."""
+    found: dict[int, tuple[list[int], list[InLog]]] = {}
+    for place, state in enumerate(states):
+        if state is not None:
+            places, logs = found.setdefault(id(state.functions), ([], []))
+            places.append(place)
+            logs.append(state)
+    return list(found.values())
+
+
 def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog]) -> Power:
     """
     Return the power of misfit in a direction, equation (2), in the channels of one axis, log by log.
 
     `left` and `changes` are e and d, white.
     """
-    count = logs[0].count
     square = sum(float(change @ change) for change in changes)
-    if not count or square == 0.0:
+    if not logs[0].count or square == 0.0:
         return Power(1.0, math.inf)
-    misfit, along = (
-        np.sum([log.along(white) for log, white in zip(logs, rows, strict=True)], axis=0)
-        for rows in (left, changes)
-    )
-    excess = max(float(misfit @ misfit) / count - 1.0, 0.0)
-    excess *= min(float(along @ along) / square, 1.0)
-    power = 1.0 + excess
-    return Power(power, count * (power / excess) ** 2 if excess > 0.0 else math.inf)
+    along = _along(changes, logs)
+    power = 1.0 + _excess(left, logs) * min(float(along @ along) / square, 1.0)
+    if power == 1.0:
+        return Power(1.0, math.inf)
+    return Power(power, logs[0].count * (power / (power - 1.0)) ** 2)
+
+
+def covariance_of(systems: Sequence[Array], left: Sequence[Array], logs: Sequence[InLog]) -> Array:
+    """
+    Return what misfit adds to the covariance of products A' e, in the channels of one axis log by log:
+
+        (phi - 1) (Q' A)' (Q' A)                                                                   (3)
+
+    with the columns A (N, m) of what is fitted, white (`systems`); m by m.
+    """
+    along = _along(systems, logs)
+    return np.asarray(_excess(left, logs) * (along.T @ along))
+
+
+def _excess(left: Sequence[Array], logs: Sequence[InLog]) -> float:
+    """Return phi - 1 of what is left over."""
+    misfit = _along(left, logs)
+    return max(float(misfit @ misfit) / logs[0].count - 1.0, 0.0) if logs[0].count else 0.0
+
+
+def _along(channels: Sequence[Array], logs: Sequence[InLog]) -> Array:
+    return np.sum([log.along(one) for log, one in zip(logs, channels, strict=True)], axis=0)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
+from waferbot_twin.noise_model import misfit
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
 from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
@@ -176,8 +177,9 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
         (A' A)^-1 (sum over c of J_c) (A' A)^-1,
 
     J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
-    channel A_c' A_c. This is its inverse, zero along what A does not show (`gram.spanning`). Noise has
-    the share SMALLEST^2 of the power that the noise model says at least.
+    channel A_c' A_c. What misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
+    along what A does not show (`gram.spanning`). Noise has the share SMALLEST^2 of the power that the
+    noise model says at least.
     """
     products = np.sum([part.T @ part for part in systems], axis=0)
     noisy = np.zeros_like(products)
@@ -187,6 +189,9 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
             noisy += projected.T @ projected / one.freedom
         else:
             noisy += part.T @ part
+    for places, logs in misfit.of_axes([noise.state for noise in estimate.noises]):
+        rows, left = ([some[place] for place in places] for some in (systems, estimate.whitened))
+        noisy += misfit.covariance_of(rows, left, logs)
     basis = spanning(products)
     power = basis.T @ noisy @ basis + SMALLEST**2 * np.eye(basis.shape[1])
     shown = products @ basis
