@@ -295,7 +295,7 @@ def test_each_effect_has_a_title_of_its_own_that_an_engineer_would_say() -> None
         assert '_' not in title, title
         assert not title.startswith('wrong'), title
     assert find('coulomb_friction').title == 'Coulomb friction'
-    assert find('backlash').title == 'gear backlash'
+    assert find('backlash').title == 'backlash'
     assert find('cogging').title == 'cogging'
 
 

@@ -177,7 +177,7 @@ def record_of_measured_log(
         cycles_before = math.ceil((begin_s - first_s) * timing.servo_hz - SAME_CYCLE)
         begin_s = first_s + cycles_before / timing.servo_hz
     end_s = max(end for _, end in spans.values())
-    cycles = int((end_s - begin_s) * timing.servo_hz)
+    cycles = int((end_s - begin_s) * timing.servo_hz + SAME_CYCLE)
     if cycles < 1:
         raise UserError(
             f'{log.name}: position and drive of {", ".join(axes)} are never known at once'
