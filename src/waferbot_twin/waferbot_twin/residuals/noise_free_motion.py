@@ -60,9 +60,8 @@ def amplitude(first: Array, second: Array) -> Array:
 
 
 def _smooth(signal: Array, rate_hz: float) -> Array:
-    width = (
-        2 * max(1, round(0.5 * SMOOTHING_S * rate_hz)) + 1
-    )  # even, it would be late by half a row
+    # An even number of rows would be late by half of one.
+    width = 2 * max(1, round(0.5 * SMOOTHING_S * rate_hz)) + 1
     kernel = np.hanning(width + 2)
     ends = np.pad(signal, width, mode='edge')
     return np.asarray(np.convolve(ends, kernel / kernel.sum(), mode='same')[width:-width])

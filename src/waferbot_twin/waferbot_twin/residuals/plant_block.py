@@ -22,7 +22,8 @@ follows.
 
 A reading that is late is compared with where the plant was by then, as corrected since: without the
 latter the observer, and with it the spread of e, would depend on the delay. One that was taken between
-two ticks is compared with the parabola through the three nearest.
+two rows is compared with the parabola through the three nearest, straight beyond these; if it is
+published at once, with the line along the speed.
 
 What moves together as long as nothing gives is corrected together, a carriage with its counterweight,
 an axis with its motor, by the finest of its encoders: the steps of a coarse one would push a machine

@@ -34,10 +34,10 @@ from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.record import Array, Record
 
 ENOUGH_SAMPLES = 12_000
-"""Samples of the residual, of logs together, that are as many as needed: 12 s of a log with 1 kHz."""
+"""Samples of the residual that are enough, of several logs an equal share each: 12 s at 1 kHz."""
 
 WINDOWS = 6
-"""In how many windows a log is used at least, if it is longer than needed."""
+"""How many windows are taken of a log that is longer than needed; neighbours are one."""
 
 LEAD = 0.1
 """Share of a window that is simulated before it and not judged."""

@@ -349,7 +349,9 @@ def _screen(
         if _tried_as_a_whole(problem, rival):
             item = linear.as_a_whole(rival, change.own if now else None)
         else:
-            item = linear.with_values(problem, rival, scales, change if now else None)
+            if now:
+                linear = linear.as_a_tone(change)
+            item = linear.with_values(problem, rival, scales)
         if item is not None:
             found.append(item)
     return found
@@ -553,21 +555,23 @@ class _Linear:
         gained = as_it_is if better or rival.effect.evident else self.fitted
         return gained.screened(rival, np.zeros(rival.free), -0.5 * math.log1p(self.square))
 
+    def as_a_tone(self, change: Change) -> _Linear:
+        """Return the problem in the noise that is left with a tone (`Change`), where that gains more."""
+        if change.value is None or change.own is None:
+            return self
+        if change.own.likelihood <= self.fitted.likelihood:
+            return self
+        return replace(self, value=change.value, fitted=change.own)
+
     def with_values(
-        self, problem: Problem, rival: Cause, scales: Sequence[float], change: Change | None
+        self, problem: Problem, rival: Cause, scales: Sequence[float]
     ) -> Screened | None:
         """
         Return the evidence for a candidate whose signature are slopes over its parameters.
 
         None if it asks for nothing that the bounds allow. That is asked of the values with the prior: of
-        two of which the logs tell a difference only, without it both may be anywhere. `change` has the
-        value in another noise, where that gains more.
+        two of which the logs tell a difference only, without it both may be anywhere.
         """
-        other = change.own if change is not None else None
-        if change is not None and change.value is not None and other is not None:
-            own = replace(self, value=change.value, fitted=other)
-            if other.likelihood > self.fitted.likelihood:
-                return own.with_values(problem, rival, scales, None)
         parameters = parameters_of(problem, rival)
         shown = [place for place in range(len(parameters)) if self.information[place, place] > 0.0]
         seen, known = (
