@@ -232,6 +232,7 @@ def _reference(
             [log.measured(model) for log in logs],
             [log.measured(model) for log in validation],
             details.nominal,
+            details.extended,
         )
     except UserError:
         return None

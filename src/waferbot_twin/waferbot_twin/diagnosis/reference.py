@@ -8,7 +8,7 @@ Mass or inertia, viscous and Coulomb friction and offset of each axis, without l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,11 +17,13 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.inverse_dynamics import InverseDynamics
+from waferbot_twin.diagnosis.force_error import force_error
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.least_squares import (
     AxisFit,
     LeastSquares,
+    LogError,
     Options,
     identify_by_least_squares,
 )
@@ -34,12 +36,16 @@ UNTOLD = 'these logs do not tell it'
 
 
 def reference_of(
-    logs: Sequence[MeasuredLog], validation: Sequence[MeasuredLog], nominal: Variant
+    logs: Sequence[MeasuredLog],
+    validation: Sequence[MeasuredLog],
+    nominal: Variant,
+    extended: Variant | None = None,
 ) -> LeastSquares | None:
     """
     Return the least squares of logs, None where no axis of them can be fitted so.
 
-    Where gravity swings an axis, a sine and a cosine of the angle stand for it.
+    Where gravity swings an axis, a sine and a cosine of the angle stand for it. With an extended model
+    the errors of both models stand beside those of the coefficients (`force_error`).
     """
     found = [
         one
@@ -48,7 +54,29 @@ def reference_of(
     ]
     if not found:
         return None
-    return replace(found[0], fits=tuple(fit for one in found for fit in one.fits))
+    fits = tuple(fit for one in found for fit in one.fits)
+    if extended is not None:
+        every = {log.name: log for log in (*logs, *validation)}
+        fits = tuple(_beside_models(fit, every, (nominal, extended)) for fit in fits)
+    return replace(found[0], fits=fits)
+
+
+def _beside_models(
+    fit: AxisFit, logs: Mapping[str, MeasuredLog], models: tuple[Variant, Variant]
+) -> AxisFit:
+    """Return the least squares of an axis with the errors of the nominal and the extended model."""
+
+    def beside(one: LogError) -> LogError:
+        nominal, extended = (force_error(logs[one.log], fit, models[0], two) for two in models)
+        if nominal is None or extended is None:
+            return one
+        return replace(one, of_models=(nominal, extended))
+
+    return replace(
+        fit,
+        fitted=tuple(beside(one) for one in fit.fitted),
+        validation=tuple(beside(one) for one in fit.validation),
+    )
 
 
 def _alone(log: MeasuredLog, axis: str) -> MeasuredLog:
@@ -180,11 +208,19 @@ def reference_remarks(reference: LeastSquares) -> list[str]:
     errors = [
         f'{TITLES[fit.axis]} in {one.log}{"" if one in fit.fitted else " (not used for the fit)"}: '
         f'{100.0 * one.relative:.3g} % of the force is left, RMS {significant(one.rms, 3)} '
-        f'{fit.force_unit}'
+        f'{fit.force_unit}{_of_models(one)}'
         for fit in reference.fits
         for one in (*fit.fitted, *fit.validation)
     ]
     return [*errors, *remarks(reference)]
+
+
+def _of_models(error: LogError) -> str:
+    """Return what the nominal and the extended model leave of the force of a log, in words."""
+    if error.of_models is None:
+        return ''
+    nominal, extended = (f'{100.0 * one:.3g} %' for one in error.of_models)
+    return f'; the nominal model leaves {nominal}, the extended model {extended}'
 
 
 def reference_dict(reference: LeastSquares | None) -> dict[str, Any] | None:

@@ -277,15 +277,13 @@ def derivatives(position: Array, step_s: float) -> tuple[Array, Array]:
     return first, second
 
 
-def filtered(
-    stretch: Stretch, cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
-) -> Filtered:
+def low_pass_of(stretch: Stretch, cut_off_hz: float) -> tuple[Callable[[Array], Array], int]:
     """
-    Return force and regressors of a stretch behind the filter.
+    Return the low-pass filter of a stretch, and at each end how many samples it settles for.
 
-    `dead_zone` in m/s or rad/s. Raises `UserError` for a stretch that is too short.
+    Raises `UserError` for a stretch that is too short, or a cut-off that is too high for it.
     """
-    step_s, rate_hz = stretch.step_s, 1.0 / stretch.step_s
+    rate_hz = 1.0 / stretch.step_s
     if cut_off_hz >= HIGHEST_OF_ALL * rate_hz:
         raise UserError(
             f'a cut-off (--cut-off) of {cut_off_hz:g} Hz is too high for {rate_hz:.4g} samples '
@@ -303,6 +301,19 @@ def filtered(
     def low_pass(value: Array) -> Array:
         return np.asarray(sosfiltfilt(sections, value, padlen=reach))
 
+    return low_pass, settling
+
+
+def filtered(
+    stretch: Stretch, cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
+) -> Filtered:
+    """
+    Return force and regressors of a stretch behind the filter.
+
+    `dead_zone` in m/s or rad/s. Raises `UserError` for a stretch that is too short.
+    """
+    low_pass, settling = low_pass_of(stretch, cut_off_hz)
+    step_s, rate_hz = stretch.step_s, 1.0 / stretch.step_s
     position = low_pass(stretch.position)
     speed, acceleration = derivatives(position, step_s)
     noise = position_noise(stretch)

@@ -68,12 +68,18 @@ class Options:
 
 @dataclass(frozen=True)
 class LogError:
-    """How well the coefficients tell the force of a log: relative, and in its unit (RMS)."""
+    """
+    How well the coefficients tell the force of a log: relative, and in its unit (RMS).
+
+    `of_models` is the relative error of the nominal and of the extended model beside a diagnosis
+    (`diagnosis.force_error`).
+    """
 
     log: str
     relative: float
     rms: float
     used_s: float
+    of_models: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +89,8 @@ class AxisFit:
 
     `force_unit` is that of the force, `length_unit` that of the position. `over_speed` and
     `over_position` are what the coefficients leave over; `measured` is, over speed, the force
-    without that of inertia, and `line` what they make of it there.
+    without that of inertia, and `line` what they make of it there. `late_s` is how late the drive stood
+    against the position, which is taken out.
     """
 
     axis: str
@@ -100,6 +107,7 @@ class AxisFit:
     over_position: BinnedMeans
     measured: BinnedMeans
     spectrum: PositionSpectrum | None
+    late_s: float = 0.0
     notes: tuple[str, ...] = ()
 
 
@@ -212,6 +220,7 @@ def _fit(
         binned_means(position, residual),
         binned_means(speed, without_inertia),
         _spectrum(own, coefficients, terms, options),
+        late_s,
         tuple(notes),
     )  # fmt: skip
 
@@ -247,6 +256,14 @@ def _signals(log: MeasuredLog, axis: str, variant: Variant | None) -> tuple[Sign
         return position, drive, drive.unit
     factor = amperes_per_unit(variant, drive) * places.force_per_ampere(variant, axis)
     return position, replace(drive, value=drive.value * factor), places.force_unit(variant, axis)
+
+
+def stretches_of(
+    log: MeasuredLog, axis: str, variant: Variant | None, late_s: float
+) -> list[Stretch]:
+    """Return position and force of an axis of a log; the drive stands in it so late, s."""
+    position, drive, _ = _signals(log, axis, variant)
+    return _stretches(position, drive, late_s)
 
 
 def _stretches(position: Signal, drive: Signal, late_s: float) -> list[Stretch]:

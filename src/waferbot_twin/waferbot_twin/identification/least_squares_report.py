@@ -112,6 +112,11 @@ def _error(one: LogError, fit: AxisFit) -> dict[str, Any]:
         'rms': one.rms,
         'unit': fit.force_unit,
         'used_s': one.used_s,
+        **(
+            {'nominal_model': one.of_models[0], 'extended_model': one.of_models[1]}
+            if one.of_models
+            else {}
+        ),
     }
 
 
