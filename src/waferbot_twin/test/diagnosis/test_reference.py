@@ -66,6 +66,12 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
 
 def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
     reference = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum)
+    assert all(one.of_models is None for fit in reference.fits for one in fit.fitted)
+    beside_models = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum, pendulum)
+    (fit,) = beside_models.fits
+    for one in (*fit.fitted, *fit.validation):
+        assert one.of_models is not None
+        assert one.of_models[0] == one.of_models[1] > one.relative
     own, other, *_ = reference_remarks(reference)
     assert own.startswith('Y-Rotate in one: ')
     assert other.startswith('Y-Rotate in two (not used for the fit): ')
