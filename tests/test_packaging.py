@@ -13,6 +13,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from waferbot_twin.version import VERSION
 
@@ -125,6 +127,31 @@ def test_the_wheel_requires_what_is_imported_and_no_more():
     ours |= {name for name in imported if name.startswith('launch')}
     outside = imported - from_ros - ours - NOT_INSTALLED
     assert {DISTRIBUTIONS.get(name, name) for name in outside} == required
+
+
+PYTHONS = re.findall(
+    r'"Programming Language :: Python :: (3\.\d+)"', (ROOT / 'pyproject.toml').read_text('utf-8')
+)
+"""Those that the metadata promise, and the workflow of CI tries."""
+
+
+def required_lines(file: Path) -> list[Requirement]:
+    """Return the requirements of a file in the format of pip, without comments."""
+    lines = (line.partition('#')[0].strip() for line in file.read_text('utf-8').splitlines())
+    return [Requirement(line) for line in lines if line]
+
+
+@pytest.mark.parametrize('python', PYTHONS)
+def test_the_lock_of_every_python_pins_what_is_required_within_its_bounds(python):
+    locked = {}
+    for pin in required_lines(ROOT / 'requirements' / f'lock-python{python}.txt'):
+        (exact,) = pin.specifier
+        assert exact.operator == '=='
+        locked[canonicalize_name(pin.name)] = exact.version
+    for name in ('ros-jazzy', 'runtime', 'development'):
+        for needed in required_lines(ROOT / 'requirements' / f'{name}.txt'):
+            version = locked[canonicalize_name(needed.name)]
+            assert needed.specifier.contains(version), f'{needed}: {version}'
 
 
 @pytest.mark.parametrize('package', PACKAGES, ids=lambda path: path.name)
