@@ -122,3 +122,19 @@ def test_overlay_replaces_removes_and_takes_the_blame() -> None:
     assert base.where(('a', 'f', 'g')) == 'over, line 4: a.f.g'
     assert base.where(('a', 'c')) == 'base, line 1: a.c'
     assert base.where(('d', 0)) == 'over, line 5: d[0]'
+
+
+def test_whoever_reads_the_same_text_again_gets_a_document_of_their_own():
+    one, other = parse('a: {b: [1, 2]}', 'x'), parse('a: {b: [1, 2]}', 'x')
+    one.data['a']['b'].append(3)
+    one.places.clear()
+    assert other.data == {'a': {'b': [1, 2]}}
+    assert other.where(('a', 'b')) == 'x, line 1: a.b'
+    assert parse('a: {b: [1, 2]}', 'y').where(('a', 'b')) == 'y, line 1: a.b'
+
+
+def test_a_file_that_was_changed_is_read_anew(tmp_path):
+    file = tmp_path / 'x.yaml'
+    for value in (1, 2):
+        file.write_text(f'a: {value}\n', 'utf-8')
+        assert read(file).data == {'a': value}

@@ -45,7 +45,13 @@ _BY_ENTRY = frozenset(
 
 def whole_text(source: Path | str) -> str:
     """Return a description, given as for `load_description`, as the text of one YAML file."""
-    return yaml.safe_dump(_read_whole(source).data, sort_keys=False)
+    return _dumped(pickle.dumps(_read_whole(source).data))
+
+
+@lru_cache(maxsize=8)
+def _dumped(data: bytes) -> str:
+    """Return pickled data as YAML; every recording holds that of its machine, which seldom changes."""
+    return yaml.safe_dump(pickle.loads(data), sort_keys=False)
 
 
 def _read_whole(source: Path | str) -> Document:

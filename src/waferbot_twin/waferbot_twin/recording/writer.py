@@ -18,6 +18,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -120,7 +121,7 @@ class RecordingWriter:
 
     def add_topic(self, name: str, type_name: str, latched: bool = False) -> None:
         """Declare a topic before its first message; `name` is fully qualified."""
-        qos = [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
+        qos = _qos_profiles(latched)
         definition = full_text(type_name)
         digest = type_hash(type_name)
         self._hand_over()
@@ -131,7 +132,7 @@ class RecordingWriter:
             'cdr',
             schema,
             {
-                'offered_qos_profiles': yaml.safe_dump(qos, sort_keys=False),
+                'offered_qos_profiles': _qos_text(latched),
                 'topic_type_hash': digest,
             },
         )
@@ -332,6 +333,16 @@ def _reason(error: BaseException | None) -> str:
 def as_json(value: Any) -> str:
     """Return a value as the text of an attachment."""
     return json.dumps(value, indent=2, sort_keys=True) + '\n'
+
+
+def _qos_profiles(latched: bool) -> list[dict[str, Any]]:
+    """Return the profiles that a topic is offered with; new ones, as YAML would say `*alias` else."""
+    return [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
+
+
+@lru_cache
+def _qos_text(latched: bool) -> str:
+    return yaml.safe_dump(_qos_profiles(latched), sort_keys=False)
 
 
 def _qos_profile(depth: int, durability: str = 'volatile') -> dict[str, Any]:
