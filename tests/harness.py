@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import signal
 import subprocess
@@ -156,6 +158,25 @@ def output_of(*arguments: Any) -> str:
 def patiently(*arguments: Any) -> subprocess.CompletedProcess[str]:
     """Run one command of waferbot that may take its time."""
     return _run([str(word) for word in arguments], {}, LONG_PATIENCE_S)
+
+
+def called(*arguments: Any) -> subprocess.CompletedProcess[str]:
+    """
+    Run one command of waferbot in this process, and return what a process of its own would give.
+
+    It saves the start of a Python. Where the process is the point (signals, the environment, nodes
+    over ROS, what is printed before the command is known), use `waferbot`.
+    """
+    from waferbot_twin.cli.main import main
+
+    words = [str(word) for word in arguments]
+    told, said = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(told), contextlib.redirect_stderr(said):
+        try:
+            code = main(words)
+        except SystemExit as ended:  # of argparse
+            code = int(ended.code or 0)
+    return subprocess.CompletedProcess(words, code, told.getvalue(), said.getvalue())
 
 
 def _run(

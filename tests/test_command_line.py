@@ -11,7 +11,7 @@ import subprocess
 import sys
 
 import pytest
-from harness import PATIENCE_S, waferbot
+from harness import PATIENCE_S, called, waferbot
 
 from waferbot_twin.cli.main import COMMANDS as MODULES
 from waferbot_twin.cli.main import main
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope='module')
 def short_run(tmp_path_factory):
     out = tmp_path_factory.mktemp('command_line') / 'short'
-    result = waferbot('run', '--engine', 'inprocess', '--duration', '0.1', '--out', str(out))
+    result = called('run', '--engine', 'inprocess', '--duration', '0.1', '--out', str(out))
     assert result.returncode == 0, result.stderr
     return out
 
@@ -39,7 +39,7 @@ def test_help_names_every_command():
 
 @pytest.mark.parametrize('command', COMMANDS)
 def test_each_command_has_help(command):
-    result = waferbot(command, '--help')
+    result = called(command, '--help')
     assert result.returncode == 0
     assert 'usage: waferbot ' + command in result.stdout
 
@@ -66,28 +66,28 @@ def test_run_tells_its_result_as_json(engine):
 
 
 def test_info_replay_tell_their_result_as_json(short_run):
-    info = json.loads(waferbot('info', str(short_run), '--json').stdout)
+    info = json.loads(called('info', str(short_run), '--json').stdout)
     assert info['closed'] is True
     assert info['missing'] == 0
     rates = {topic['name']: topic['rate_hz'] for topic in info['topics']}
     assert rates['/phase_currents'] == pytest.approx(18000)
     assert rates['/encoders'] == pytest.approx(9000)
     assert rates['/servo_state'] == pytest.approx(2250)
-    replay = json.loads(waferbot('replay', str(short_run), '--node', 'pmac', '--json').stdout)
+    replay = json.loads(called('replay', str(short_run), '--node', 'pmac', '--json').stdout)
     assert replay['identical'] is True
 
 
 def test_plot_draws_a_picture(short_run, tmp_path):
     picture = tmp_path / 'picture.png'
-    result = waferbot('plot', str(short_run), '--out', str(picture))
+    result = called('plot', str(short_run), '--out', str(picture))
     assert result.returncode == 0, result.stderr
     assert picture.read_bytes().startswith(b'\x89PNG')
     picture.write_bytes(b'of somebody else')
-    refused = waferbot('plot', str(short_run), '--out', str(picture))
+    refused = called('plot', str(short_run), '--out', str(picture))
     assert refused.returncode == 1
     assert 'exists already; choose another file or give --force' in refused.stderr
     assert picture.read_bytes() == b'of somebody else'
-    assert waferbot('plot', str(short_run), '--out', str(picture), '--force').returncode == 0
+    assert called('plot', str(short_run), '--out', str(picture), '--force').returncode == 0
     assert picture.read_bytes().startswith(b'\x89PNG')
 
 
@@ -125,8 +125,9 @@ MISTAKES = {
 def test_a_mistake_is_told_in_one_line(mistake, tmp_path, monkeypatch):
     arguments, hint = MISTAKES[mistake]
     monkeypatch.chdir(tmp_path)
-    environment = {'ROS_DOMAIN_ID': 'many'} if 'environment' in mistake else {}
-    result = waferbot(*arguments, **environment)
+    if 'environment' in mistake:
+        monkeypatch.setenv('ROS_DOMAIN_ID', 'many')
+    result = called(*arguments)
     assert result.returncode == 1, result.stdout
     assert result.stderr.startswith('waferbot: error: ')
     assert result.stderr.count('\n') == 1, result.stderr
@@ -140,7 +141,7 @@ def test_the_version_is_told():
 
 
 def test_a_misspelt_command_is_answered_with_the_nearest():
-    result = waferbot('dianose', 'log')
+    result = called('dianose', 'log')
     assert result.returncode == 2
     assert "there is no command 'dianose'; did you mean 'diagnose'?" in result.stderr
     assert 'Traceback' not in result.stderr
@@ -149,7 +150,7 @@ def test_a_misspelt_command_is_answered_with_the_nearest():
 def test_a_model_with_a_value_out_of_range_names_the_range(tmp_path):
     model = tmp_path / 'bad.yaml'
     model.write_text('/**/pmac: {ros__parameters: {y_linear: {Ixx69: 99999}}}\n')
-    result = waferbot(*FAST, '--model', str(model))
+    result = called(*FAST, '--model', str(model))
     assert result.returncode == 1
     assert result.stderr.startswith('waferbot: error: ')
     assert '32767' in result.stderr
@@ -175,7 +176,7 @@ def test_a_misspelt_option_or_choice_is_answered_with_the_nearest(arguments, nea
 
 @pytest.mark.parametrize('arguments', [('run', '--speed', '2'), ('fly',), ()])
 def test_an_unknown_option_or_command_is_refused_without_traceback(arguments):
-    result = waferbot(*arguments)
+    result = called(*arguments)
     assert result.returncode != 0
     assert 'Traceback' not in result.stderr
     assert 'usage: waferbot' in result.stderr

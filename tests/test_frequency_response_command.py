@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 
 import pytest
-from harness import run_engine, waferbot
+from harness import called, run_engine
 
 pytestmark = pytest.mark.slow
 
@@ -21,7 +21,7 @@ def as_built(tmp_path_factory):
 def test_the_rigid_model_lacks_the_75_hz_line_of_the_machine_as_built(as_built, tmp_path):
     """The bearing of X-Rotate gives under moments; coupled modes of 69 and 74 Hz at home."""
     out = tmp_path / 'report'
-    done = waferbot('frf', str(as_built), '--model', 'rigid', '--out', str(out), '--json')
+    done = called('frf', str(as_built), '--model', 'rigid', '--out', str(out), '--json')
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told == json.loads((out / 'frf.json').read_text('utf-8'))
@@ -35,13 +35,13 @@ def test_the_rigid_model_lacks_the_75_hz_line_of_the_machine_as_built(as_built, 
     assert [peak['verdict'] for peak in resonances] == ['missing in model']
     assert 64.0 < resonances[0]['frequency_hz'] < 78.0
     assert 'lacks the resonance at' in told['sentence']
-    again = waferbot('frf', str(as_built), '--out', str(out))
+    again = called('frf', str(as_built), '--out', str(out))
     assert again.returncode == 1
     assert 'exists already; choose another folder or give --force' in again.stderr
 
 
 def test_the_model_that_made_the_log_has_all_its_peaks(as_built):
-    done = waferbot('frf', str(as_built), '--model', 'as_built', '--json')
+    done = called('frf', str(as_built), '--model', 'as_built', '--json')
     assert done.returncode == 0, done.stderr
     peaks = json.loads(done.stdout)['peaks']
     assert {peak['verdict'] for peak in peaks} == {'matched'}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import start_node, waferbot
+from harness import called, start_node, waferbot
 from rclpy.action import ActionClient
 
 from waferbot_msgs.action import RunExperiment
@@ -56,7 +56,7 @@ def test_a_killed_motor_fails_the_run_of_every_engine_and_the_recording_is_whole
         assert recording.summary['complete'] == 'true'
         assert recording.ticks == 1800
         recordings.append(recording)
-        told = json.loads(waferbot('info', str(out), '--json').stdout)
+        told = json.loads(called('info', out, '--json').stdout)
         assert told['missing'] == 0
         assert told['failure'].startswith(KILLED)
     for other in recordings[1:]:
@@ -77,7 +77,7 @@ def test_an_amplifier_that_switches_off_fails_the_run(tmp_path, engine):
 
 def test_a_run_that_is_not_recorded_fails_as_well(tmp_path):
     model = unsuited_model(tmp_path, 'pmac', 'x_rotate', Ixx11=16 * 20)
-    result = waferbot('run', '--engine', 'inprocess', '--model', model, '--duration', '0.1')
+    result = called('run', '--engine', 'inprocess', '--model', model, '--duration', '0.1')
     assert result.returncode == 1
     assert KILLED in result.stderr
     assert 'y_linear, y_rotate with it (Ixx24)' in result.stderr

@@ -117,11 +117,12 @@ def test_the_wheel_requires_what_is_imported_and_no_more():
     lines = (ROOT / 'requirements' / 'runtime.txt').read_text('utf-8').splitlines()
     required = {re.split(r'[<>=~]', line)[0].lower() for line in lines if line[:1].isalpha()}
     imported = imports(folder for package in PYTHON_PACKAGES for folder in sources(package))
+    distributions = metadata.packages_distributions()
     from_ros = {
         name
         for name in imported
         if name.startswith('waferbot')
-        or any(dist.startswith('ros-') for dist in metadata.packages_distributions().get(name, ()))
+        or any(one.startswith('ros-') for one in distributions.get(name, ()))
     }
     ours = {name for name in imported if name.endswith(('_msgs', '_interfaces'))}
     ours |= {name for name in imported if name.startswith('launch')}

@@ -8,7 +8,7 @@ import signal
 
 import numpy as np
 import pytest
-from harness import start_node, waferbot, wait_until
+from harness import called, start_node, wait_until
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_twin.recording.reader import read_recording
@@ -33,7 +33,7 @@ def test_all_from_tick_0_to_the_interrupt_is_recorded(start, domain, tmp_path, r
     wait_until(lambda: kilobytes() > 200, 'some of it recorded', recorder)
     for program in (*nodes, recorder):  # as Ctrl-C does in a launch
         program.signal(signal.SIGINT)
-    assert recorder.wait(30) == 0, recorder.output
+    assert recorder.wait() == 0, recorder.output
     assert re.search(r'0 missing of \d+', recorder.output), recorder.output
     recording = read_recording(out)
     assert recording.summary['complete'] == 'true'
@@ -43,7 +43,7 @@ def test_all_from_tick_0_to_the_interrupt_is_recorded(start, domain, tmp_path, r
         assert count > 5
         np.testing.assert_array_equal(recording[topic][:count], whole[topic][:count])
     assert recording['phase_currents']['tick'][0] == 0
-    assert waferbot('info', str(out)).returncode == 0
+    assert called('info', out).returncode == 0
 
 
 def test_why_the_twin_stopped_is_said_and_kept(start, domain, tmp_path):
@@ -60,7 +60,7 @@ def test_why_the_twin_stopped_is_said_and_kept(start, domain, tmp_path):
         recorder,
     )
     nodes['pmac'].signal(signal.SIGKILL)
-    assert recorder.wait(30) == 1, recorder.output
+    assert recorder.wait() == 1, recorder.output
     assert re.search(r'recorder: error: /\w+ stopped at tick \d+: pmac is gone', recorder.output)
     recording = read_recording(out)
     assert recording.closed

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-from harness import waferbot
+from harness import called, waferbot
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -221,7 +221,7 @@ def test_a_gap_is_found_and_said(tmp_path, topic, hole):
     recording = read_recording(tmp_path / 'run')
     assert recording.summary['complete'] == 'false'
     assert recording.summary['missing'] == str(places)
-    info = json.loads(waferbot('info', str(tmp_path / 'run'), '--json').stdout)
+    info = json.loads(called('info', str(tmp_path / 'run'), '--json').stdout)
     assert info['missing'] == places
 
 
@@ -265,7 +265,7 @@ def test_a_truncated_file_is_read_as_far_as_it_goes(tmp_path, recorded, share):
     array = recording['phase_voltages']
     assert len(array) > (share - 0.15) * TICKS
     np.testing.assert_array_equal(array, whole['phase_voltages'][: len(array)])
-    assert 'cut off' in waferbot('info', str(cut)).stdout
+    assert 'cut off' in called('info', str(cut)).stdout
 
 
 # ---- what is no recording ------------------------------------------------------------------------
@@ -287,7 +287,7 @@ def only_magic(path):
 def test_a_file_that_is_no_recording_gives_one_clear_line(tmp_path, content):
     path = tmp_path / 'bad.mcap'
     content(path)
-    result = waferbot('info', str(path))
+    result = called('info', str(path))
     assert result.returncode == 1
     assert result.stderr.startswith('waferbot: error: ')
     assert str(path) in result.stderr
@@ -306,7 +306,7 @@ def test_a_damaged_chunk_gives_what_came_before(tmp_path, recorded):
     array = damaged['phase_voltages']
     assert 0 < len(array) < TICKS
     np.testing.assert_array_equal(array, recorded('inprocess')['phase_voltages'][: len(array)])
-    result = waferbot('info', str(path))
+    result = called('info', str(path))
     assert result.returncode == 0
     assert 'cut off' in result.stdout
 
@@ -322,9 +322,9 @@ def test_a_single_flipped_bit_is_not_taken_for_a_measurement(tmp_path):
         writer.add_message(channel, 5, payload, 5)
         writer.finish()
     content = path.read_bytes()
-    assert waferbot('info', str(path)).returncode == 0
+    assert called('info', str(path)).returncode == 0
     path.write_bytes(content.replace(b'hello', b'hallo', 1))
-    result = waferbot('info', str(path))
+    result = called('info', str(path))
     assert result.returncode == 1
     assert result.stderr.startswith('waferbot: error: ')
 
@@ -338,10 +338,10 @@ def test_a_foreign_recording_is_described(tmp_path):
         channel = writer.register_channel('/chatter', 'cdr', schema)
         writer.add_message(channel, 5, b'\0\1\0\0\2\0\0\0a\0', 5)
         writer.finish()
-    result = waferbot('info', str(path))
+    result = called('info', str(path))
     assert result.returncode == 0, result.stderr
     assert '/chatter' in result.stdout
-    replay = waferbot('replay', str(path), '--node', 'pmac')
+    replay = called('replay', str(path), '--node', 'pmac')
     assert replay.returncode == 1
     assert replay.stderr.startswith('waferbot: error: ')
 
@@ -357,7 +357,7 @@ def test_another_definition_of_a_contract_message_is_refused(tmp_path):
         )
         writer.add_message(channel, 5, b'\0\1\0\0' + bytes(8), 5)
         writer.finish()
-    result = waferbot('info', str(path))
+    result = called('info', str(path))
     assert result.returncode == 1
     assert 'another definition' in result.stderr
 
@@ -368,22 +368,20 @@ def test_another_definition_of_a_contract_message_is_refused(tmp_path):
 def test_out_never_overwrites_without_force(tmp_path):
     out = tmp_path / 'run'
     run = ['run', '--engine', 'inprocess', '--duration', '0.01', '--out', str(out)]
-    assert waferbot(*run).returncode == 0
+    assert called(*run).returncode == 0
     before = recording_file(out).read_bytes()
-    again = waferbot(*run)
+    again = called(*run)
     assert again.returncode == 1
     assert 'exists already' in again.stderr
     assert recording_file(out).read_bytes() == before
-    assert waferbot(*run, '--force').returncode == 0
+    assert called(*run, '--force').returncode == 0
 
 
 def test_force_replaces_recordings_only(tmp_path):
     (tmp_path / 'thesis').mkdir()
     (tmp_path / 'thesis' / 'chapter.txt').write_text('years of work')
     out = str(tmp_path / 'thesis')
-    result = waferbot(
-        'run', '--engine', 'inprocess', '--duration', '0.01', '--out', out, '--force'
-    )
+    result = called('run', '--engine', 'inprocess', '--duration', '0.01', '--out', out, '--force')
     assert result.returncode == 1
     assert 'it holds chapter.txt, which waferbot did not write' in result.stderr
     assert (tmp_path / 'thesis' / 'chapter.txt').read_text() == 'years of work'
@@ -392,7 +390,7 @@ def test_force_replaces_recordings_only(tmp_path):
 def test_out_below_a_file_gives_one_clear_line(tmp_path):
     (tmp_path / 'file').write_text('')
     out = str(tmp_path / 'file' / 'run')
-    result = waferbot('run', '--engine', 'inprocess', '--duration', '0.01', '--out', out)
+    result = called('run', '--engine', 'inprocess', '--duration', '0.01', '--out', out)
     assert result.returncode == 1
     assert result.stderr.startswith('waferbot: error: ')
     assert 'Traceback' not in result.stderr
