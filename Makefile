@@ -13,7 +13,8 @@ REQUIREMENTS := -r requirements/ros-jazzy.txt -r requirements/runtime.txt -r req
 LOCK = requirements/lock-python$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])').txt
 
 RUN := ./waferbot --exec
-# Files in the order of conftest.py, which puts long ones first; xdist's own is by the number of tests.
+# As many workers as conftest.py says, and files in its order, long ones first; xdist's own is by the number
+# of tests.
 SIDE_BY_SIDE := --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 .PHONY: help build demo test test-fast lint bench bench-diagnosis bench-endurance bench-fuzz docs audit lock clean
@@ -56,13 +57,11 @@ lint: build
 
 # Side by side on all cores, but for those that ask for the wall clock or a certain ROS domain.
 test: lint
-	$(RUN) pytest $(SIDE_BY_SIDE) src
-	$(RUN) pytest $(SIDE_BY_SIDE) -m 'not alone' tests
+	$(RUN) pytest $(SIDE_BY_SIDE) -m 'not alone' src tests
 	$(RUN) pytest -m alone tests
 
 test-fast: lint
-	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) src
-	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) tests
+	$(RUN) pytest -m 'not slow' $(SIDE_BY_SIDE) src tests
 
 bench: build
 	$(RUN) python tests/bench/bench_engines.py

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import LONG_PATIENCE_S, Program, domain_of, run_engine, waferbot
+from harness import LONG_PATIENCE_S, PATIENCE_S, Program, domain_of, run_engine, waferbot
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import AXES, LOCKSTEP_TOPICS
@@ -75,7 +75,7 @@ def check_same_bits(
     finally:
         for stranger in strangers.values():
             stranger.process.terminate()
-        ends = {node: stranger.process.wait(10) for node, stranger in strangers.items()}
+        ends = {node: stranger.process.wait(PATIENCE_S) for node, stranger in strangers.items()}
     assert code == 0, twin.output + ''.join(one.output for one in strangers.values())
     assert set(ends.values()) == {0}, ends
     one = read_recording(out)

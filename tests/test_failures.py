@@ -15,6 +15,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from harness import (
     PATIENCE_S,
+    called,
     children_of,
     command_line,
     domain_of,
@@ -71,7 +72,7 @@ def check_readable(out):
     ticks = recording['phase_currents']['tick']
     assert len(ticks) > 100
     np.testing.assert_array_equal(ticks, np.arange(len(ticks)))
-    assert json.loads(waferbot('info', str(out), '--json').stdout)['ticks'] >= len(ticks)
+    assert json.loads(called('info', out, '--json').stdout)['ticks'] >= len(ticks)
     return recording
 
 
@@ -110,7 +111,7 @@ def test_a_killed_node_stops_the_others_with_peer_topic_and_tick(start, tmp_path
     nodes = dict(program.children)
     os.kill(nodes[victim], signal.SIGKILL)
     wait_until_gone(nodes.values())
-    assert program.wait(30) == 1
+    assert program.wait() == 1
     never_came = rf'topic {FIRST_MISSED[victim]}, tick \d+ never came'
     assert re.search(
         rf'waferbot: error: {victim} was killed by signal 9: {never_came}; .* is gone: topic',
@@ -257,7 +258,7 @@ class ComposedTwin:
         for node in self.nodes:
             node.begin()
 
-    def spin_until(self, done, what, timeout_s=30.0):
+    def spin_until(self, done, what, timeout_s=PATIENCE_S):
         deadline_s = time.monotonic() + timeout_s
         while not done():
             assert time.monotonic() < deadline_s, what
@@ -401,7 +402,7 @@ def test_an_interrupted_run_ends_cleanly(start, tmp_path, number):
     out = tmp_path / 'run'
     program = long_run(start, out)
     program.signal(number)
-    assert program.wait(20) == 130
+    assert program.wait() == 130
     wait_until_gone(program.children.values(), 0.5)
     assert 'Traceback' not in program.output
     assert program.output.rstrip().endswith('waferbot: interrupted')
@@ -414,7 +415,7 @@ def test_an_interrupted_run_ends_cleanly(start, tmp_path, number):
 def test_an_interrupted_run_of_one_process_ends_cleanly(start, tmp_path, engine):
     program = long_run(start, tmp_path / 'run', '--engine', engine)
     program.signal(signal.SIGINT)
-    assert program.wait(20) == 130
+    assert program.wait() == 130
     assert 'Traceback' not in program.output
     assert check_readable(tmp_path / 'run').closed
 
@@ -425,7 +426,7 @@ def test_an_interrupted_node_ends_the_others_without_error(start, domain, number
     subscription_seen(nodes, domain)
     nodes['pmac'].signal(number)
     for program in nodes.values():
-        assert program.wait(20) == 0, program.output
+        assert program.wait() == 0, program.output
         assert 'Traceback' not in program.output
 
 
@@ -450,7 +451,7 @@ def test_a_stop_is_passed_on_by_who_heard_it(start, domain, connect):
     )
     client.spin_until(lambda: len(heard) >= 3, 'the stop, its own once and those of the plant')
     assert {(stop.node, stop.tick) for stop in heard} == {('/test_client', 7)}
-    assert plant.wait(20) == 0, plant.output
+    assert plant.wait() == 0, plant.output
 
 
 @pytest.mark.alone  # its stranger is still there when the run has given its domain back
@@ -473,7 +474,7 @@ def test_a_stop_of_a_stranger_is_passed_over_and_said(start, connect, tmp_path):
     )
     assert program.process.poll() is None
     program.signal(signal.SIGINT)
-    assert program.wait(20) == 130
+    assert program.wait() == 130
     assert check_readable(tmp_path / 'run').summary['reason'] == 'interrupted by the user'
 
 
@@ -515,16 +516,16 @@ def test_a_recorder_that_stands_still_while_the_others_end_misses_nothing(
     time.sleep(4 * FAREWELL_S)
     assert plant.process.poll() is None, 'the plant has left though it was not heard'
     program.signal(signal.SIGCONT)
-    assert program.wait(30) == 0, program.output
+    assert program.wait() == 0, program.output
     assert read_recording(out).summary['complete'] == 'true'
-    assert plant.wait(30) == 0, plant.output
+    assert plant.wait() == 0, plant.output
 
 
 def test_a_node_that_cannot_start_ends_the_run_with_its_reason(start, tmp_path):
     model = tmp_path / 'bad.yaml'
     model.write_text('/**/copley: {ros__parameters: {x_rotate: {bus_voltage: -1.0}}}\n')
     program = start('waferbot_twin', 'run', '--model', str(model), '--duration', '0.1')
-    assert program.wait(60) == 1
+    assert program.wait() == 1
     assert 'Traceback' not in program.output
     assert 'bus_voltage' in program.output
     assert children_of(program.process.pid) == []

@@ -20,7 +20,7 @@ from foreign_peers import (
     copley_arguments,
     pmac_arguments,
 )
-from harness import Program, start_node
+from harness import PATIENCE_S, Program, start_node
 
 from waferbot_msgs.msg import Encoders
 
@@ -147,7 +147,7 @@ def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
         assert pmac.process.poll() is None, pmac.output
     finally:
         pmac.process.terminate()
-        code = pmac.process.wait(10)
+        code = pmac.process.wait(PATIENCE_S)
     assert code == 0, pmac.output
 
 

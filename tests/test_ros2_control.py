@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from harness import Program, start_node
+from harness import PATIENCE_S, Program, start_node
 from sensor_msgs.msg import JointState
 
 from waferbot_lockstep.contract import AXES
@@ -146,7 +146,7 @@ def test_without_commands_the_currents_are_zero_and_that_is_said(twin, controlle
     program = controllers()
     twin.wait_for(lambda: twin.tick > 900 and np.any(twin.current != 0.0), 'time going on')
     program.signal(signal.SIGKILL)
-    program.process.wait(10)
+    program.process.wait(PATIENCE_S)
     twin.wait_for(
         lambda: twin.status is not None and 'the currents are zero' in twin.status.message,
         'silence told',

@@ -252,7 +252,7 @@ def test_a_twin_in_lockstep_is_stepped_to_the_same_bits(start, domain, connect, 
     assert tool.set_state(250).result == tool.results.RESULT_FEATURE_UNSUPPORTED
     tool.set_state(tool.states.STATE_QUITTING)
     for node in nodes:
-        assert node.wait(20) == 0, node.output
+        assert node.wait() == 0, node.output
 
 
 @needs_the_package
