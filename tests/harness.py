@@ -30,7 +30,7 @@ PATIENCE_S = 120.0
 ASK_AGAIN_S = 5.0
 """Wall time after which a client sends its request again."""
 
-LONG_PATIENCE_S = 280.0
+LONG_PATIENCE_S = 800.0
 """The same for a command that works for long, as a diagnosis does."""
 
 

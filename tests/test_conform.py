@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from harness import waferbot
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(70)]
 
 FAULTY = [sys.executable, str(Path(__file__).parent / 'faulty_pmac.py')]
 

@@ -32,7 +32,7 @@ HIDDEN = (
 )
 SEED = 33
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.long(200)
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def diagnosis(tmp_path, *logs):
     finding, judging = logs
     done = patiently(
         'diagnose', finding, '--validate', judging, '--out', tmp_path / 'report', '--json',
-        '--fail-on', 'cause', '--fail-on', 'unexplained',
+        '--fail-on', 'cause', '--fail-on', 'unexplained', '--workers', '1',
     )  # fmt: skip
     if done.returncode not in (0, 3, 4):
         pytest.fail(done.stderr)  # the command, which is no matter of luck

@@ -22,7 +22,7 @@ from waferbot_twin.diagnosis.diagnose import diagnose
 from waferbot_twin.effects import find
 from waferbot_twin.residuals.problem import Cause, apply_all
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(180)]
 
 SEED = 20261214
 

@@ -17,7 +17,7 @@ import pytest
 from harness import output_of
 from scipy.integrate import solve_ivp
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = pytest.mark.slow
 
 DESCRIPTION = """
 name: my axis

@@ -17,7 +17,7 @@ from waferbot_twin.models import model_names
 from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import recording_file
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(110)]
 
 
 def standard_messages(recording):

@@ -36,7 +36,7 @@ from waferbot_twin.recording.reader import read_recording
 HANGS_AFTER_S = 60.0
 """Whoever is still there then hangs. How fast nodes stop is measured by `make bench-endurance`."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(180)]
 
 
 def long_run(start, out, *arguments):

@@ -14,7 +14,7 @@ TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'se
 WHAT = ('--model', 'as_built', '--experiment', 'step', '--duration', '0.05')
 
 pytestmark = [
-    pytest.mark.long,
+    pytest.mark.long(70),
     pytest.mark.skipif(sys.platform != 'linux', reason='FMUs are tried on Linux alone'),
 ]
 

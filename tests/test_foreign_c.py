@@ -31,7 +31,7 @@ DURATION_S = 0.5
 FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silence'}
 """Mistakes of peers that the programs pass over."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(90)]
 
 
 @pytest.fixture(scope='module')

@@ -18,7 +18,7 @@ FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silenc
 DURATION_S = 0.5
 
 # The first time, what it stands on is compiled: a minute, more on a busy machine.
-pytestmark = [pytest.mark.slow, pytest.mark.long, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.long(100), pytest.mark.timeout(900)]
 
 
 @pytest.fixture(scope='module')

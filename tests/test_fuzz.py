@@ -9,7 +9,7 @@ from fuzzing.categories import CATEGORIES, tracebacks
 SEED = 20261125
 COUNT = 300
 
-pytestmark = [pytest.mark.slow, pytest.mark.long]
+pytestmark = [pytest.mark.slow, pytest.mark.long(150)]
 
 
 @pytest.mark.parametrize('name', CATEGORIES)

@@ -12,7 +12,7 @@ import pytest
 
 from waferbot_twin.cli.main import COMMANDS, build_parser, main
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.long(80)
 
 EXAMPLES = {
     command: import_module(f'waferbot_twin.cli.{module}').EXAMPLES
