@@ -11,8 +11,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from waferbot_lockstep import marked_yaml
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import key_text, merge, parse, read
+from waferbot_lockstep.marked_yaml import SAFE_DUMPER, key_text, merge, parse, read
 
 PLAIN = st.recursive(
     st.none()
@@ -138,3 +139,29 @@ def test_a_file_that_was_changed_is_read_anew(tmp_path):
     for value in (1, 2):
         file.write_text(f'a: {value}\n', 'utf-8')
         assert read(file).data == {'a': value}
+
+
+SHIPPED = sorted(
+    file
+    for folder in ('config', 'experiments')
+    for file in Path(__file__).parents[2].glob(f'waferbot_*/waferbot_*/{folder}/**/*.yaml')
+)
+
+
+@pytest.mark.parametrize('file', SHIPPED, ids=lambda file: file.name)
+def test_with_and_without_libyaml_a_file_is_read_and_written_alike(file, monkeypatch):
+    text = file.read_text('utf-8')
+    monkeypatch.setattr(marked_yaml, '_LOADERS', marked_yaml._LOADERS[-1:])
+    slow = marked_yaml._parsed.__wrapped__(text, file.name)
+    monkeypatch.undo()
+    assert marked_yaml._parsed.__wrapped__(text, file.name) == slow
+    data = parse(text, file.name).data
+    fast = yaml.dump(data, Dumper=SAFE_DUMPER, sort_keys=False)
+    assert fast == yaml.safe_dump(data, sort_keys=False)
+
+
+@given(PLAIN)
+def test_with_and_without_libyaml_any_text_is_read_alike(value):
+    text = yaml.safe_dump({'a': value})
+    document = marked_yaml._document(marked_yaml._LOADERS[-1](text), 'x')
+    assert parse(text, 'x') == document

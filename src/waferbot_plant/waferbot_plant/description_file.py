@@ -16,6 +16,7 @@ import yaml
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import (
+    SAFE_DUMPER,
     Document,
     Key,
     first_complaint,
@@ -51,7 +52,7 @@ def whole_text(source: Path | str) -> str:
 @lru_cache(maxsize=8)
 def _dumped(data: bytes) -> str:
     """Return pickled data as YAML; every recording holds that of its machine, which seldom changes."""
-    return yaml.safe_dump(pickle.loads(data), sort_keys=False)
+    return yaml.dump(pickle.loads(data), Dumper=SAFE_DUMPER, sort_keys=False)
 
 
 def _read_whole(source: Path | str) -> Document:

@@ -23,7 +23,7 @@ import yaml
 from waferbot_copley.settings import settings_of as amplifier_settings
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_lockstep.marked_yaml import Document, merged, parse
+from waferbot_lockstep.marked_yaml import SAFE_DUMPER, Document, merged, parse
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Assembly, assemble
 from waferbot_plant.description import Description
@@ -202,7 +202,7 @@ def _built(variant: Itself, timing: Timing) -> Machine:
     return variant.variant.build(timing)
 
 
-class _WithoutAliases(yaml.SafeDumper):
+class _WithoutAliases(SAFE_DUMPER):
     """Writes out what stands in two places; our reader takes no aliases."""
 
     def ignore_aliases(self, data: Any) -> bool:

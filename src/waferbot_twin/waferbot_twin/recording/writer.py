@@ -31,6 +31,7 @@ from waferbot_lockstep import atomic_files
 from waferbot_lockstep.contract import HISTORY_DEPTH
 from waferbot_lockstep.definitions import full_text, type_hash
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.marked_yaml import SAFE_DUMPER
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.recording.mcap_writer import Batch, McapWriter, Message
 
@@ -187,7 +188,7 @@ class RecordingWriter:
             self._writer.add_metadata('waferbot', dict(summary))
             self._writer.add_metadata(
                 'rosbag2',
-                {'serialized_metadata': yaml.safe_dump(self._information(), sort_keys=False)},
+                {'serialized_metadata': _yaml(self._information())},
             )
             self._writer.finish()
             atomic_files.flush_to_disk(self._file)
@@ -265,9 +266,7 @@ class RecordingWriter:
 
     def _write_metadata(self) -> None:
         """Replace `metadata.yaml` in one step, so that it is never half written."""
-        text = yaml.safe_dump(
-            {'rosbag2_bagfile_information': self._information()}, sort_keys=False
-        )
+        text = _yaml({'rosbag2_bagfile_information': self._information()})
         atomic_files.write_text(self._output.folder / 'metadata.yaml', text)
 
 
@@ -340,9 +339,13 @@ def _qos_profiles(latched: bool) -> list[dict[str, Any]]:
     return [_qos_profile(1, 'transient_local') if latched else _qos_profile(HISTORY_DEPTH)]
 
 
+def _yaml(data: Any) -> str:
+    return str(yaml.dump(data, Dumper=SAFE_DUMPER, sort_keys=False))
+
+
 @lru_cache
 def _qos_text(latched: bool) -> str:
-    return yaml.safe_dump(_qos_profiles(latched), sort_keys=False)
+    return _yaml(_qos_profiles(latched))
 
 
 def _qos_profile(depth: int, durability: str = 'volatile') -> dict[str, Any]:
