@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import io
 import os
 import signal
@@ -34,6 +35,15 @@ LONG_PATIENCE_S = 800.0
 """The same for a command that works for long, as a diagnosis does."""
 
 
+_LIBC = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def _end_with_the_tests() -> None:
+    """In a child: be killed when the tests are, which cannot end it any more then."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 class Program:
     """A process of the twin with its output in a file; whatever it started ends with it."""
 
@@ -47,6 +57,7 @@ class Program:
                 stderr=subprocess.STDOUT,
                 env={**user_environment(), **environment},
                 start_new_session=True,
+                preexec_fn=_end_with_the_tests,
             )
         self.children: dict[str, int] = {}
 
