@@ -100,33 +100,3 @@ def test_several_causes_may_do_what_a_force_without_a_name_does(
     chosen, _, more = search._by_names(pool, hypothesis(), first, 3)
     assert [one.best.cause.name for one in chosen] == taken
     assert more == asked
-
-
-def test_of_every_other_axis_what_is_ahead_in_known_noise_comes_along(monkeypatch):
-    """The most probable one of each axis, with a name, if it is more probable than not."""
-    odds = {
-        ('belt', 'y_rotate'): 3.0,
-        ('gearbox', 'y_rotate'): 7.0,
-        ('cable', 'y_linear'): 0.5,
-        ('counterweight', 'y_linear'): -0.1,
-        ('force_over_velocity', 'y_linear'): 9.0,
-        ('bearing', 'x_rotate'): 50.0,
-        ('delay', 'x_rotate'): 60.0,
-    }
-    members = [
-        SimpleNamespace(
-            cause=SimpleNamespace(
-                name=f'{name}:{axis}', axis=axis, effect=SimpleNamespace(name=name)
-            )
-        )
-        for name, axis in odds
-    ]
-    monkeypatch.setattr(
-        search,
-        '_odds_in_known_noise',
-        lambda base, member: odds[member.cause.effect.name, member.cause.axis],
-    )
-    effect = SimpleNamespace(members=members)
-    along = search._ahead_elsewhere(hypothesis(), effect, [members[-1]])
-    assert [one.cause.name for one in along] == ['gearbox:y_rotate', 'cable:y_linear']
-    assert search._ahead(hypothesis(), effect) is members[-1]

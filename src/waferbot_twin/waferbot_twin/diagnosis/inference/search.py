@@ -108,14 +108,13 @@ def _ask_on(
 
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
-    along it were known is in the model for the time being, too: of every axis, as what one of them does
-    tells little of another. And whichever came first would take what many others leave over. So where
-    something is found a second time, what everybody fits first comes along: masses and force constants,
-    Coulomb and viscous friction and a constant force of every axis (`CandidatePool.usual`). These are
-    tentative: each stays if it is evident beside all that was found by then. A force without a name is
-    asked for again beside them, and not there before: it would do what several of them do together.
-    `usual` says that they have been there. Where it is ahead again, other causes may still do together
-    what it does (`_by_names`).
+    along it were known is in the model for the time being, too. And whichever came first would take what
+    many others leave over. So where something is found a second time, what everybody fits first comes
+    along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
+    (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
+    found by then. A force without a name is asked for again beside them, and not there before: it would
+    do what several of them do together. `usual` says that they have been there. Where it is ahead
+    again, other causes may still do together what it does (`_by_names`).
     """
     asked, along = 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
@@ -134,7 +133,7 @@ def _ask_on(
                     pool.problem, instead, effects, tentative
                 )
                 continue
-        best = effect.best if included else _ahead(found, effect)
+        best = effect.best if included else _ahead(pool.problem, found, effect)
         if best is None:
             break
         causes = found.causes
@@ -144,12 +143,8 @@ def _ask_on(
             (effects if included else tentative).append(
                 effect if included else SingleEffect((best,), effect.none)
             )
-            apart = _apart(pool, found, effect.members) if included else []
-            for one in apart:
+            for one in _apart(pool, found, effect.members) if included else ():
                 effects.append(with_odds(SingleEffect((one,), effect.none), one.log_odds))
-                causes = (*causes, one.cause)
-            for one in _ahead_elsewhere(found, effect, [best, *apart]):
-                tentative.append(SingleEffect((one,), effect.none))
                 causes = (*causes, one.cause)
         first: list[Cause] = []
         if not usual and (asked > 1 or without_name):
@@ -305,35 +300,15 @@ def _change(base: Hypothesis, member: Member) -> list[Array]:
     ]
 
 
-def _ahead(base: Hypothesis, effect: SingleEffect) -> Member | None:
+def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
     """Return the most probable member if the power of the noise along each were known; None for none."""
-    odds, best = max(
-        ((_odds_in_known_noise(base, one), one) for one in effect.members),
-        key=lambda item: item[0],
-    )
-    return best if odds > 0.0 else None
 
+    def log_odds(member: Member) -> float:
+        more = gain(member.found, base, power_known=True) - gain(member.found, base)
+        return member.log_odds + more
 
-def _ahead_elsewhere(
-    base: Hypothesis, effect: SingleEffect, chosen: Sequence[Member]
-) -> list[Member]:
-    """Return the same for every axis on which none of those chosen is: causes with a name alone."""
-    of_axes: dict[str, tuple[float, Member]] = {}
-    taken = {one.cause.axis for one in chosen}
-    for one in effect.members:
-        axis = one.cause.axis
-        if axis in taken or is_nuisance(one.cause) or is_discrepancy(one.cause):
-            continue
-        odds = _odds_in_known_noise(base, one)
-        if odds > max(0.0, of_axes[axis][0] if axis in of_axes else 0.0):
-            of_axes[axis] = odds, one
-    return [one for _, one in of_axes.values()]
-
-
-def _odds_in_known_noise(base: Hypothesis, member: Member) -> float:
-    """Return ln of the odds of a member if the power of the noise along it were known."""
-    more = gain(member.found, base, power_known=True) - gain(member.found, base)
-    return member.log_odds + more
+    best = max(effect.members, key=log_odds)
+    return best if log_odds(best) > 0.0 else None
 
 
 def _some_of_each(
