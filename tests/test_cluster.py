@@ -82,6 +82,7 @@ def test_a_sweep_on_two_workers_survives_the_loss_of_one(scheduler, start, tmp_p
     assert np.isfinite(found['rms_following_error.y_rotate']).all()
 
 
+@pytest.mark.slow
 def test_what_is_wrong_with_a_cluster_is_told(scheduler, start, tmp_path):
     address, _ = scheduler(0)
     for at, said in ((address, 'has no workers'), ('tcp://127.0.0.1:9', 'no scheduler answers')):

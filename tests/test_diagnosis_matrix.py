@@ -835,6 +835,7 @@ def test_a_case_of_several_that_crashes_has_missed_what_was_hidden(monkeypatch):
     assert (named.seen['hits'], named.met) == (0, False)
 
 
+@pytest.mark.slow
 def test_a_case_with_an_unknown_effect_among_known_ones(monkeypatch, rigid):
     case = next(cases(GROUPS['unknown-among-known'], pairs(rigid), 77))
     asked = []

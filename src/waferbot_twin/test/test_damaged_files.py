@@ -84,6 +84,7 @@ def test_a_header_that_is_no_python_is_refused(tmp_path):
         load_log(file, str(mapping))
 
 
+@pytest.mark.slow
 def test_a_matlab_file_on_which_its_reader_crashes_is_refused(tmp_path):
     """The first variable begins at byte 128: its tags, flags and dimensions, each byte made another."""
     file, mapping = tmp_path / 'log.mat', tmp_path / 'map.yaml'

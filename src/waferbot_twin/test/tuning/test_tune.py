@@ -61,6 +61,7 @@ def test_required_margins_are_missed_by_shares():
     assert Required(0.0, 0.0, 4.0 * loop.delay_s).missed(loop) == pytest.approx(0.75)
 
 
+@pytest.mark.slow
 def test_a_bandwidth_is_met_with_the_margins_at_every_pose_of_both_machines():
     nominal, built = (Variant.of(load_model(name)) for name in ('flexible', 'as_built'))
     poses = poses_of(nominal, {'x_rotate': [0.0, 1.2]})
