@@ -17,7 +17,7 @@ import pytest
 from harness import output_of
 from scipy.integrate import solve_ivp
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long(90)]
 
 DESCRIPTION = """
 name: my axis
@@ -90,8 +90,7 @@ def measure(random, file, truth, rate_hz=1000.0, seconds=2.0):
 
 
 @pytest.mark.xfail(
-    reason='a load-dependent friction at its bound is named in place of cogging and friction',
-    run=False,  # it takes a minute and decides nothing; pytest --runxfail does run it
+    reason='a load-dependent friction at its bound is named in place of cogging and friction'
 )
 def test_friction_and_cogging_of_a_machine_of_ones_own(random, tmp_path):
     truth = {
@@ -190,8 +189,7 @@ def measure_stage(random, file, truth, hertz, metres, seconds=2.5):
 
 
 @pytest.mark.xfail(
-    reason='presliding with the right friction is named in place of Coulomb friction',
-    run=False,  # as above
+    reason='presliding with the right friction is named in place of Coulomb friction'
 )
 def test_a_stage_with_three_causes_at_once_and_what_its_log_cannot_tell(random, tmp_path):
     """A log without the force tells no mass from a force constant: both must be said."""

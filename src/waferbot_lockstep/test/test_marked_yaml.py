@@ -161,6 +161,12 @@ def test_with_and_without_libyaml_a_file_is_read_and_written_alike(file, monkeyp
 
 
 @given(PLAIN)
+def test_what_is_written_with_libyaml_is_read_as_the_same_data(value):
+    text = yaml.dump({'a': value}, Dumper=SAFE_DUMPER, sort_keys=False)
+    assert yaml.safe_load(text) == {'a': value}
+
+
+@given(PLAIN)
 def test_with_and_without_libyaml_any_text_is_read_alike(value):
     text = yaml.safe_dump({'a': value})
     document = marked_yaml._document(marked_yaml._LOADERS[-1](text), 'x')
