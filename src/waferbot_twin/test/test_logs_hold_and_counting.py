@@ -68,6 +68,17 @@ def held_drive(random, folder, samples_per_cycle=1, cycles=1200, cycle_s=4e-3):
     return file
 
 
+def smooth_motion(random, step_s, axis, length, kind, unit, mass=1.0):
+    """Return the log of a mass that a sum of sines moves, 4000 samples."""
+    time_s = step_s * np.arange(4000)
+    wave = 2.0 * np.pi * random.uniform(2.0, 25.0, 12)
+    phase = np.outer(time_s, wave) + random.uniform(0.0, 2.0 * np.pi, 12)
+    moved = np.sum(-np.sin(phase) / wave**2, axis=1)
+    pushed = mass * np.sum(np.sin(phase), axis=1)
+    position = Signal('position', axis, length, time_s, moved)
+    return MeasuredLog('smooth', (position, Signal(kind, axis, unit, time_s, pushed)))
+
+
 def left_over(log, variant):
     (found,) = PlantBlock(record_of_measured_log(log, variant), variant).residuals(variant)
     return float(np.std(found))
@@ -97,6 +108,19 @@ def test_a_held_drive_is_found_by_its_half_sample(random, motor, tmp_path) -> No
     straight = aligned_record(mapped(file, ', hold: linear'), motor)
     assert not any('taken as held' in note for note in straight.notes)
     assert any('moved by that' in note for note in straight.notes)
+
+
+def test_a_described_controller_holds_its_force_unless_the_mapping_says_no(random) -> None:
+    """A force that goes straight is half a sample late as a held one: the note says how to say so."""
+    stage = Variant.of(load_model_or_machine('emps'))
+    log = smooth_motion(random, 1e-3, 'y_linear', 'm', 'force', 'N', 95.0)
+    (late, why, *_) = aligned_record(log, stage).notes
+    assert 'late, moved by that' in late
+    assert 'taken as held, as the output of the described controller' in why
+    assert 'hold: linear in the mapping' in why
+    straight = log.with_signal(replace(log['y_linear', 'force'], hold='linear'))
+    (early, *_) = aligned_record(straight, stage).notes
+    assert 'not significant' in early
 
 
 def test_a_log_that_is_faster_than_its_drive_tells_it_itself(random, motor, tmp_path) -> None:
@@ -129,18 +153,7 @@ def test_the_import_says_how_a_drive_was_taken_and_what_the_log_speaks_for(
     assert (one.taken, one.told_by, one.speaks_for) == ('zero_order', 'samples', 'zero_order')
     assert 'each value stands for 3 samples' in str(one)
 
-    time_s = 4e-3 * np.arange(4000)
-    wave = 2.0 * np.pi * random.uniform(2.0, 25.0, 12)
-    phase = np.outer(time_s, wave) + random.uniform(0.0, 2.0 * np.pi, 12)
-    smooth = MeasuredLog(
-        'smooth',
-        (
-            Signal(
-                'position', 'x_rotate', 'rad', time_s, np.sum(-np.sin(phase) / wave**2, axis=1)
-            ),
-            Signal('current', 'x_rotate', 'A', time_s, np.sum(np.sin(phase), axis=1)),
-        ),
-    )
+    smooth = smooth_motion(random, 4e-3, 'x_rotate', 'rad', 'current', 'A')
     (one,) = evidence(smooth)
     assert (one.taken, one.speaks_for, one.against) == ('linear', 'linear', False)
     still = replace(smooth['x_rotate', 'position'], value=np.zeros(4000))

@@ -86,7 +86,7 @@ LEAST_CHANGES, IN_STEP = 16, 0.7
 """Changes of a command, and how far they agree (0 to 1), that tell when a controller acts."""
 
 NEAR_HALF = 0.2
-"""Share of a sample by which a skew may miss half a sample and still be that of a held drive."""
+"""Share of a sample by which a skew may miss half a sample and still be that of another hold."""
 
 LENGTH = {'m': 'slides', 'rad': 'turns'}
 """What an axis does whose position has this unit."""
@@ -461,6 +461,12 @@ def _aligned(
         elif found.significant:
             late_s[axis] = found.late_s
             notes.append(f'{pair}: {found} late, moved by that')
+            if drive.hold != log[axis, drive.kind].hold and _half_a_sample(drive, found.late_s):
+                notes.append(
+                    f'{pair}: taken as held, as the output of the described controller; straight '
+                    'between samples it would be half a sample less late (hold: linear in the mapping, '
+                    'if it is so)'
+                )
         else:
             notes.append(f'{pair}: {found} late, not significant')
         spread_s[AXES.index(axis)] = _spread_s(drive, found)
@@ -496,10 +502,13 @@ def _spread_s(drive: Signal, found: Skew | None) -> float:
 
 def _as_if_held(drive: Signal, found: Skew) -> bool:
     """Return whether a drive that was taken straight is early by half a sample, and nobody said how."""
-    step_s = 1.0 / drive.rate_hz
-    off_s = abs(found.late_s + 0.5 * step_s)
     unsaid = not drive.held and not drive.hold
-    return unsaid and found.significant and off_s < NEAR_HALF * step_s
+    return unsaid and found.significant and _half_a_sample(drive, -found.late_s)
+
+
+def _half_a_sample(drive: Signal, time_s: float) -> bool:
+    """Return whether a time is half a sample of a drive, as near as a skew is known."""
+    return abs(time_s * drive.rate_hz - 0.5) < NEAR_HALF
 
 
 def _with_counting(
