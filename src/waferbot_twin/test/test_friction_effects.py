@@ -284,6 +284,10 @@ def test_gears_lose_only_where_there_may_be_one() -> None:
     effect = find('gear_efficiency')
     assert effect.axes(Variant.of(load_model('rigid'))) == ('y_rotate',)
     assert effect.axes(bare()) == (AXIS,)
+    for name in ('geared_pendulum', 'locked_cycloidal_drive', 'emps', 'ball_screw_stage'):
+        assert len(effect.axes(example(name))) == 1, name
+    for name in ('direct_drive_motor', 'solo_motor'):  # their poles turn with them
+        assert effect.axes(example(name)) == (), name
 
 
 def test_each_effect_has_a_title_of_its_own_that_an_engineer_would_say() -> None:

@@ -22,10 +22,21 @@ from waferbot_twin.effects.variant import Overlay, Variant
 
 
 def _axes(variant: Variant) -> tuple[str, ...]:
-    """Return the axes with a gear; of a machine alone all, as its description need not name gears."""
-    if variant.is_machine_alone:
-        return places.motor_axes(variant)
-    return places.geared_axes(variant)
+    """
+    Return the axes with a gear.
+
+    The description of a machine alone need not name its gears; of a motor whose poles turn with its axis
+    it says that there is none.
+    """
+    geared = places.geared_axes(variant)
+    if not variant.is_machine_alone:
+        return geared
+    return tuple(
+        axis
+        for axis in places.motor_axes(variant)
+        if axis in geared
+        or not (places.rotary(variant, axis) and places.has_poles(variant, axis))
+    )
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:

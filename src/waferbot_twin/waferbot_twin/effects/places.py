@@ -128,6 +128,12 @@ def motor_ratio(variant: Variant, axis: str) -> float:
     return abs(placing[driving][1] / placing[driven][1])
 
 
+def has_poles(variant: Variant, axis: str) -> bool:
+    """Return whether the description says of an axis' motor how many poles it has: none is one a turn."""
+    motor = variant.description.motors[axis]
+    return not motor.by_force or motor.electrical_gain != 1.0
+
+
 def electrical_cycle(variant: Variant, axis: str) -> float:
     """Return the length of an electrical cycle at an axis' motor, m or rad of the motor."""
     return 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)

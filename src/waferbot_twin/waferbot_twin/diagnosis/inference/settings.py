@@ -20,9 +20,7 @@ class Settings:
     expected_causes    how many causes a machine has, before its logs are seen: a candidate has the
                        prior probability expected_causes / number of candidates
     prior_scales       standard deviations of an effect's size, in its typical size; each equally
-                       probable (a normal scale mixture: heavy tails, much mass near zero). Up to 100:
-                       what is typical of a drive that nobody describes is told by what it did, and that
-                       may be little (`residuals.from_measured_log.sized_by`)
+                       probable (a normal scale mixture: heavy tails, much mass near zero)
     spread_of_masses, spread_of_force_constants, spread_of_frictions
                        standard deviations, as shares, by which every machine's parameters differ from
                        its model's (`nuisance`)
@@ -47,7 +45,7 @@ class Settings:
     """
 
     expected_causes: float = 1.0
-    prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+    prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03
     spread_of_frictions: float = 0.1
