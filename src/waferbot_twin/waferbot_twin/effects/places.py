@@ -129,7 +129,7 @@ def motor_ratio(variant: Variant, axis: str) -> float:
 
 
 def has_poles(variant: Variant, axis: str) -> bool:
-    """Return whether the description has the poles of an axis' motor; without, it is as if one a turn."""
+    """Return whether the description has the poles of an axis' motor; one pair a turn if not."""
     motor = variant.description.motors[axis]
     return not motor.by_force or motor.electrical_gain != 1.0
 

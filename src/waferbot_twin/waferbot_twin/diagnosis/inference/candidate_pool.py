@@ -9,8 +9,8 @@ they stay where they are.
 
 Signatures are found once, beside the causes with which a search begins. In blocks where others are known
 by then, that of the most promising trial of every name is found anew, by ln BF and by ln BF in noise of
-known power, and those of all that let a part go: with one of these every other cause does something else.
-A search that begins with other causes finds only those anew whose blocks these change.
+known power, and those of all that let a part go: with one of these every other does something else. A
+search that begins with other causes finds only those anew whose blocks these change.
 """
 
 from __future__ import annotations
