@@ -10,10 +10,10 @@ of what A leaves over along d, both filtered by the noise model of A, known with
     G = sum over channels of (nu + 1) / 2 ln(1 + 2 ln(L_A / L_B) / (lambda nu))                     (1)
 
 is the logarithm of their likelihood ratio, of the plant beside the misfit that A leaves over
-(`noise_model.misfit`) and beside what its parts disagree by (`noise_model.disagreement`). Where the
-noise model is right, lambda is 1, nu large and G the usual one; where A lacks something, or noise has
-another colour, the working likelihood is corrected as composite likelihoods are (R. E. Chandler,
-S. Bate, Biometrika 94, 2007): the weighting, and with it the estimate, stays that of the noise model.
+(`noise_model.misfit`). Where the noise model is right, lambda is 1, nu large
+and G the usual one; where A lacks something, or noise has another colour, the working likelihood
+is corrected as composite likelihoods are (R. E. Chandler, S. Bate, Biometrika 94, 2007): the
+weighting, and with it the estimate, stays that of the noise model.
 
 **Evidence.** Of a cause with the values w, what the logs say of them L (their information, the inverse
 of a covariance), and a normal scale mixture of priors N(0, S_m) with equal weights, S_m = tau_m^2 W (W
@@ -55,7 +55,7 @@ from waferbot_twin.estimation.size_prior import (
     log_prior,
     precision,
 )
-from waferbot_twin.noise_model import disagreement, misfit
+from waferbot_twin.noise_model import misfit
 from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
@@ -79,21 +79,14 @@ def gain(
     seen = _seen_from(more, fewer, noise_known, power_known)
     if noise_known:
         return sum(one.ratio for one in seen)
-    count = _apart(more, fewer)
     if all(one.ratio >= 0.0 for one in seen):
-        return _beside_misfit([one.ratio for one in seen], seen, (), count)
+        return _beside_misfit([one.ratio for one in seen], seen)
     back = _seen_from(fewer, more, noise_known, power_known)
     ratios = [
         one.ratio if one.ratio >= 0.0 else -max(other.ratio, 0.0)
         for one, other in zip(seen, back, strict=True)
     ]
-    return _beside_misfit(ratios, seen, back, count)
-
-
-def _apart(one: Hypothesis, other: Hypothesis) -> int:
-    """Return how many parameters one of two hypotheses has more than the other, 1 at least."""
-    free = [sum(cause.free for cause in causes) for causes in (one.causes, other.causes)]
-    return max(abs(free[0] - free[1]), 1)
+    return _beside_misfit(ratios, seen, back)
 
 
 @dataclass(frozen=True)
@@ -144,15 +137,14 @@ def _seen_from(
 
 
 def _beside_misfit(
-    ratios: Sequence[float], seen: Sequence[_Channel], back: Sequence[_Channel], count: int
+    ratios: Sequence[float], seen: Sequence[_Channel], back: Sequence[_Channel] = ()
 ) -> float:
     """
     Return what is gained in all channels, on every axis no more than beside its misfit.
 
     `ratios` are equation (1), which takes what is left over along d for noise, log by log. Misfit is the
-    same in all logs, or in some parts of them only; so what is gained on an axis is the least of what
-    each says. It is that of the model that is ahead there: `seen` from the one, `back` from the other.
-    One has `count` parameters more.
+    same in all logs; so what is gained on an axis is the less of what either says. It is that of the
+    model that is ahead there: `seen` from the one, `back` from the other.
     """
     states = [channel.state for channel in seen]
     total = sum(ratio for ratio, state in zip(ratios, states, strict=True) if state is None)
@@ -162,10 +154,8 @@ def _beside_misfit(
         squares = abs(sum(ahead[place].squares for place in places))
         left = [ahead[place].left for place in places]
         changes = [ahead[place].change for place in places]
-        for power_along in (misfit.power_along, disagreement.power_along):
-            most = power_along(left, changes, logs).log_likelihood_ratio(squares, count)
-            gained = math.copysign(min(abs(gained), most), gained)
-        total += gained
+        power = misfit.power_along(left, changes, logs)
+        total += math.copysign(min(abs(gained), power.log_likelihood_ratio(squares)), gained)
     return total
 
 

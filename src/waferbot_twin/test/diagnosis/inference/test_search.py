@@ -35,7 +35,7 @@ def hypothesis(*names):
 def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, asked):
     usual_were_there, forward, left = [], list(forward), list(left)
 
-    def ask_on(pool, found, effects, most, usual, visited):
+    def ask_on(pool, found, effects, most, usual):
         usual_were_there.append(usual)
         wanted, times = forward.pop(0)
         return found, effects, wanted, times
@@ -47,7 +47,6 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
         '_ask_again',
         lambda pool, found, effects, most: (hypothesis(*left.pop(0)), effects, 0),
     )
-    monkeypatch.setattr(search, 'averaged', lambda pool, found, effects, visited: (found, effects))
     monkeypatch.setattr(search, '_instrumented', lambda pool, found, effects: (None, effects))
     monkeypatch.setattr(search, 'to_the_end', lambda problem, found, workers: found)
     pool = SimpleNamespace(
@@ -94,7 +93,7 @@ def test_several_causes_may_do_what_a_force_without_a_name_does(
         lambda base, members: effect(members[0].cause.name) if members else None,
     )
     monkeypatch.setattr(search, '_fitted_on', lambda pool, found, causes: found)
-    monkeypatch.setattr(search, 'log_odds_between', lambda pool, one, other: ahead.pop(0))
+    monkeypatch.setattr(search, '_log_odds_between', lambda pool, one, other: ahead.pop(0))
     monkeypatch.setattr(search, '_ask', lambda pool, base: then.pop(0) if then else None)
     pool = SimpleNamespace(problem=None, settings=Settings())
     first = effect('force_over_velocity', 'a')

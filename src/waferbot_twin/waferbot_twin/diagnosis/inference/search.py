@@ -8,8 +8,8 @@ changes: an early choice is revised when the others are known. Where one of thos
 gone, what it stood for may still lack: more are added, and so on (stepwise selection). The posterior of
 each is that of `single_effects`, from fits through the simulation for every candidate that the linear
 problem puts within reach (`refit`). What no physical cause explains competes with them: forces over
-speed and position of an axis without a name (`discrepancy`). Then the model is weighed against those on
-the way to it (`averaging`). Last, what the closed loop has made of noise is taken out (`instrument`).
+speed and position of an axis without a name (`discrepancy`). Last, what the closed loop has made of
+noise is taken out (`instrument`).
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.averaging import as_fitted, averaged, log_odds_between
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
@@ -43,7 +42,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
 )
 from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
 from waferbot_twin.estimation.conditional import without_by_linear
-from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -52,6 +51,7 @@ from waferbot_twin.estimation.hypothesis import (
     parameters_of,
 )
 from waferbot_twin.estimation.separable import part_of
+from waferbot_twin.estimation.size_prior import log_prior
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -75,9 +75,8 @@ def infer(pool: CandidatePool) -> Posterior:
     found, effects = nothing, list[SingleEffect]()
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
-    visited = [nothing]
     while True:
-        found, effects, wanted, asked = _ask_on(pool, found, effects, most, bool(seen), visited)
+        found, effects, wanted, asked = _ask_on(pool, found, effects, most, usual=bool(seen))
         most -= asked
         found, effects, asked = _ask_again(pool, found, effects, most)
         most -= asked
@@ -85,13 +84,11 @@ def infer(pool: CandidatePool) -> Posterior:
         if most > 0 and not names.issuperset(wanted) and names not in seen:
             seen.add(names)
             continue
-        found, effects = averaged(pool, found, effects, visited)
         feigned, judged = _instrumented(pool, found, effects)
         if feigned is None:
             found = to_the_end(pool.problem, found, pool.workers)
             return Posterior(nothing, found, tuple(judged), len(pool.names))
         pool.leave_out(feigned)
-        visited = [one for one in visited if feigned not in {cause.name for cause in one.causes}]
         found = without(pool.problem, found, [feigned], pool.workers)
         effects = [effect for effect in effects if effect.best.cause.name != feigned]
 
@@ -102,7 +99,6 @@ def _ask_on(
     effects: list[SingleEffect],
     most: int,
     usual: bool,
-    visited: list[Hypothesis],
 ) -> tuple[Hypothesis, list[SingleEffect], set[str], int]:
     """
     Add effects as long as one is included; return whatever was asked for, and how often, too.
@@ -118,8 +114,7 @@ def _ask_on(
     (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
     found by then. A force without a name is asked for again beside them, and not there before: it would
     do what several of them do together. `usual` says that they have been there. Where it is ahead
-    again, other causes may still do together what it does (`_by_names`). Each model on the way is
-    added to `visited`.
+    again, other causes may still do together what it does (`_by_names`).
     """
     asked, along = 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
@@ -163,9 +158,8 @@ def _ask_on(
             found = _fitted_on(pool, best.found, (*causes, *first))
         names = {cause.name for cause in found.causes}
         along |= {one.name for one in first}
-        tentative += [as_fitted(pool, found, one) for one in first if one.name in names]
+        tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
-        visited.append(found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
 
@@ -189,7 +183,7 @@ def _by_names(
             return [], base, asked
         chosen.append(own)
         there = _fitted_on(pool, own.best.found, own.best.found.causes)
-        if log_odds_between(pool, there, unnamed) > 0.0:
+        if _log_odds_between(pool, there, unnamed) > 0.0:
             return chosen, there, asked
         if asked >= most:
             return [], base, asked
@@ -198,6 +192,23 @@ def _by_names(
         if more is None:
             return [], base, asked
         members = more.members
+
+
+def _log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -> float:
+    """Return ln of the posterior odds of one hypothesis against another, whatever causes each has."""
+    problem, scales = pool.problem, pool.settings.prior_scales
+    both = {cause.name for cause in one.causes} & {cause.name for cause in other.causes}
+
+    def own(hypothesis: Hypothesis) -> float:
+        total = log_prior(problem, [item for item in hypothesis.causes if item.name in both])
+        for place, cause in enumerate(hypothesis.causes):
+            if cause.name not in both:
+                known = information_of(problem, hypothesis, place)
+                total += log_occam(cause, parameters_of(problem, cause), known, scales)
+                total += pool.log_prior(cause)
+        return total
+
+    return gain(one, other) + own(one) - own(other)
 
 
 def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]) -> Hypothesis:
@@ -210,6 +221,12 @@ def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]
     together = each_once(pool.problem, causes)
     joint = fitted(pool.problem, together, pool.workers) if together != found.causes else None
     return joint or fitted_on(pool.problem, found, pool.workers)
+
+
+def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
+    """Return a cause of a hypothesis as an effect that was not asked for."""
+    last = with_last(pool.problem, found, cause.name)
+    return SingleEffect((Member(last, 0.0, pool.log_prior(cause), 1.0),), 0.0)
 
 
 def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[Member]:
