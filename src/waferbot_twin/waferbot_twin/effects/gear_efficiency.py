@@ -34,8 +34,7 @@ def _axes(variant: Variant) -> tuple[str, ...]:
     return tuple(
         axis
         for axis in places.motor_axes(variant)
-        if axis in geared
-        or not (places.rotary(variant, axis) and places.has_poles(variant, axis))
+        if axis in geared or not (places.rotary(variant, axis) and places.has_poles(variant, axis))
     )
 
 

@@ -55,7 +55,7 @@ from waferbot_twin.estimation.size_prior import (
     log_prior,
     precision,
 )
-from waferbot_twin.noise_model import misfit
+from waferbot_twin.noise_model import disagreement, misfit
 from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
@@ -65,7 +65,11 @@ from waferbot_twin.residuals.record import Array
 
 
 def gain(
-    more: Hypothesis, fewer: Hypothesis, noise_known: bool = False, power_known: bool = False
+    more: Hypothesis,
+    fewer: Hypothesis,
+    noise_known: bool = False,
+    power_known: bool = False,
+    parts: bool = False,
 ) -> float:
     """
     Return equation (1): how much likelier the logs are with `more` than with `fewer`.
@@ -74,19 +78,27 @@ def gain(
     from the other one, what it lacks would be noise along the very direction in question. Both are
     hypotheses of the same problem. With `noise_known` the noise of both is that of `more`, as where
     both were simulated with the same; with `power_known` lambda is taken for the true one: nu is
-    infinite.
+    infinite. With `parts` it is no more than beside what parts of the logs disagree by
+    (`noise_model.disagreement`).
     """
     seen = _seen_from(more, fewer, noise_known, power_known)
     if noise_known:
         return sum(one.ratio for one in seen)
+    count = _apart(more, fewer) if parts else 0
     if all(one.ratio >= 0.0 for one in seen):
-        return _beside_misfit([one.ratio for one in seen], seen)
+        return _beside_misfit([one.ratio for one in seen], seen, (), count)
     back = _seen_from(fewer, more, noise_known, power_known)
     ratios = [
         one.ratio if one.ratio >= 0.0 else -max(other.ratio, 0.0)
         for one, other in zip(seen, back, strict=True)
     ]
-    return _beside_misfit(ratios, seen, back)
+    return _beside_misfit(ratios, seen, back, count)
+
+
+def _apart(one: Hypothesis, other: Hypothesis) -> int:
+    """Return how many parameters one of two hypotheses has more than the other, 1 at least."""
+    free = [sum(cause.free for cause in causes) for causes in (one.causes, other.causes)]
+    return max(abs(free[0] - free[1]), 1)
 
 
 @dataclass(frozen=True)
@@ -137,14 +149,15 @@ def _seen_from(
 
 
 def _beside_misfit(
-    ratios: Sequence[float], seen: Sequence[_Channel], back: Sequence[_Channel] = ()
+    ratios: Sequence[float], seen: Sequence[_Channel], back: Sequence[_Channel], count: int
 ) -> float:
     """
     Return what is gained in all channels, on every axis no more than beside its misfit.
 
     `ratios` are equation (1), which takes what is left over along d for noise, log by log. Misfit is the
     same in all logs; so what is gained on an axis is the less of what either says. It is that of the
-    model that is ahead there: `seen` from the one, `back` from the other.
+    model that is ahead there: `seen` from the one, `back` from the other. With a `count` of parameters
+    that one has more, no more than beside what parts of the logs disagree by, either.
     """
     states = [channel.state for channel in seen]
     total = sum(ratio for ratio, state in zip(ratios, states, strict=True) if state is None)
@@ -154,8 +167,11 @@ def _beside_misfit(
         squares = abs(sum(ahead[place].squares for place in places))
         left = [ahead[place].left for place in places]
         changes = [ahead[place].change for place in places]
-        power = misfit.power_along(left, changes, logs)
-        total += math.copysign(min(abs(gained), power.log_likelihood_ratio(squares)), gained)
+        most = [misfit.power_along(left, changes, logs).log_likelihood_ratio(squares)]
+        if count:
+            power = disagreement.power_along(left, changes, logs)
+            most.append(power.log_likelihood_ratio(squares, count))
+        total += math.copysign(min(abs(gained), *most), gained)
     return total
 
 

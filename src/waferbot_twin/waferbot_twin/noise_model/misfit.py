@@ -103,10 +103,28 @@ class InLog:
 
     def along(self, white: Array) -> Array:
         """Return Q' of this log times a channel (n,) or (n, m), white; of its last samples if fewer."""
+        means, own = self._aligned(white)
+        return np.asarray(own.T @ means)
+
+    def along_parts(self, white: Array, parts: int) -> tuple[Array, Array]:
+        """Return what `along` is of each part of a channel (n,), and the squares of Q, (parts, k)."""
+        pairs = [
+            (few, rows)
+            for few, rows in zip(
+                *(np.array_split(one, parts) for one in self._aligned(white)), strict=True
+            )
+        ]
+        return (
+            np.array([rows.T @ few for few, rows in pairs]),
+            np.array([np.sum(rows**2, axis=0) for _, rows in pairs]),
+        )
+
+    def _aligned(self, white: Array) -> tuple[Array, Array]:
+        """Return means of a channel and the rows of Q at their times."""
         every = self.functions.every[self.place]
         means = _sums(white, every) / math.sqrt(every)
         own = self.functions.columns[self.place]
-        return np.asarray(own[len(own) - len(means) :].T @ means)
+        return means, own[len(own) - len(means) :]
 
     @property
     def count(self) -> int:

@@ -19,15 +19,15 @@ class Power:
         """The same power, taken for the true one."""
         return Power(self.value, math.inf)
 
-    def log_likelihood_ratio(self, squares: float) -> float:
+    def log_likelihood_ratio(self, squares: float, count: int = 1) -> float:
         """
         Return ln of the likelihood ratio of a change that lowers the sum of squares by so much.
 
-        (nu + 1) / 2 ln(1 + squares / (lambda nu)), that of Student's t: squares / (2 lambda) if nu is
-        large. Antisymmetric.
+        (nu + k) / 2 ln(1 + squares / (lambda nu)), that of Student's t in k dimensions, the number
+        (`count`) of parameters that make the change: squares / (2 lambda) if nu is large. Antisymmetric.
         """
         size = abs(squares) / self.value
         if math.isinf(self.freedom):
             return 0.5 * math.copysign(size, squares)
-        own = 0.5 * (self.freedom + 1.0) * math.log1p(size / self.freedom)
+        own = 0.5 * (self.freedom + count) * math.log1p(size / self.freedom)
         return math.copysign(own, squares)
