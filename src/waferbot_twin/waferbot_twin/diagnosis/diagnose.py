@@ -20,7 +20,6 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
-from waferbot_twin.diagnosis.inference.agreement import as_sure_as_parts_agree
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
 from waferbot_twin.diagnosis.inference.exactness import as_likely_as_not_where_inexact, inexact
@@ -30,6 +29,7 @@ from waferbot_twin.diagnosis.inference.nuisance import (
     nuisance,
     prior_groups,
 )
+from waferbot_twin.diagnosis.inference.parameter_constancy import as_sure_as_constant
 from waferbot_twin.diagnosis.inference.prediction import Prediction
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -202,7 +202,7 @@ def diagnose(
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior, notes = replace(posterior, found=updated), [*notes, *told]
     posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
-    posterior = as_sure_as_parts_agree(pool, posterior)
+    posterior = as_sure_as_constant(pool, posterior)
     left = unexplained(problem, posterior, settings)
     every = _found_causes(problem, posterior, settings)
     causes = [item for item in every if item.inclusion >= settings.named_from]

@@ -55,7 +55,7 @@ from waferbot_twin.estimation.size_prior import (
     log_prior,
     precision,
 )
-from waferbot_twin.noise_model import disagreement, misfit
+from waferbot_twin.noise_model import heterogeneity, misfit
 from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
@@ -79,7 +79,7 @@ def gain(
     hypotheses of the same problem. With `noise_known` the noise of both is that of `more`, as where
     both were simulated with the same; with `power_known` lambda is taken for the true one: nu is
     infinite. With `parts` it is no more than beside what parts of the logs disagree by
-    (`noise_model.disagreement`).
+    (`noise_model.heterogeneity`).
     """
     seen = _seen_from(more, fewer, noise_known, power_known)
     if noise_known:
@@ -169,7 +169,7 @@ def _beside_misfit(
         changes = [ahead[place].change for place in places]
         most = [misfit.power_along(left, changes, logs).log_likelihood_ratio(squares)]
         if count:
-            power = disagreement.power_along(left, changes, logs)
+            power = heterogeneity.power_along(left, changes, logs)
             most.append(power.log_likelihood_ratio(squares, count))
         total += math.copysign(min(abs(gained), *most), gained)
     return total

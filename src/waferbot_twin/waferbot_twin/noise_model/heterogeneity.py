@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Disagreement: what one part of the logs says against another.
+Heterogeneity: by how much parts of the logs differ in the size of a cause.
 
 A cause that is real has one size, in every log and at any time. Let e be what is left over with it,
 d its change of the residuals, both white, and b the parts of the logs, with scores s_b = d_b' e_b and
@@ -60,7 +60,7 @@ def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[
         for few, own in zip(*(np.array_split(one, PARTS) for one in pair), strict=True)
     ]
     products, squares = np.array(parts)[:, :, None].transpose(1, 0, 2)
-    (own,), (freedom,) = _disagreement(products, squares)
+    (own,), (freedom,) = _heterogeneity(products, squares)
     if not freedom or not logs[0].count:
         return Power(1.0, math.inf)
     usual, known = _usual(left, logs)
@@ -70,7 +70,7 @@ def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[
     return Power(max((known * usual + float(own)) / nu, 1.0), nu)
 
 
-def _disagreement(products: Array, squares: Array) -> tuple[Array, Array]:
+def _heterogeneity(products: Array, squares: Array) -> tuple[Array, Array]:
     """Return Q and its degrees of freedom (k,) of scores and squares (b, k), equation (1)."""
     seen = squares > LEAST_SHARE * squares.sum(axis=0)
     products, squares = (np.where(seen, one, 0.0) for one in (products, squares))
@@ -85,7 +85,7 @@ def _usual(left: Sequence[Array], logs: Sequence[InLog]) -> tuple[float, float]:
     """Return phi_0 and nu_0 of what is left over, along the functions of the state."""
     parts = [log.along_parts(rows, PARTS) for log, rows in zip(logs, left, strict=True)]
     products, squares = (np.concatenate(some) for some in zip(*parts, strict=True))
-    own, freedom = _disagreement(products, squares)
+    own, freedom = _heterogeneity(products, squares)
     some = freedom > 0
     return prior_of(own[some] / freedom[some], freedom[some])
 

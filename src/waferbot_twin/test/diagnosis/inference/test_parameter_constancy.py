@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes judged by what parts of the logs agree on, with gains and evidence by hand."""
+"""Causes judged beside how their sizes vary, with gains and evidence by hand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference import agreement
+from waferbot_twin.diagnosis.inference import parameter_constancy
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
     Member,
@@ -60,11 +60,11 @@ def pool(monkeypatch):
     def last(problem, found, name):
         return SimpleNamespace(causes=(cause(name.split(':')[0]),))
 
-    monkeypatch.setattr(agreement, 'without_by_linear', without_by_linear)
-    monkeypatch.setattr(agreement, 'without', without)
-    monkeypatch.setattr(agreement, 'gain', gain)
-    monkeypatch.setattr(agreement, 'log_evidence', log_evidence)
-    monkeypatch.setattr(agreement, 'with_last', last)
+    monkeypatch.setattr(parameter_constancy, 'without_by_linear', without_by_linear)
+    monkeypatch.setattr(parameter_constancy, 'without', without)
+    monkeypatch.setattr(parameter_constancy, 'gain', gain)
+    monkeypatch.setattr(parameter_constancy, 'log_evidence', log_evidence)
+    monkeypatch.setattr(parameter_constancy, 'with_last', last)
     return SimpleNamespace(
         problem=None,
         workers=1,
@@ -78,9 +78,9 @@ def inclusions(found):
     return [effect.inclusion for effect in found.effects]
 
 
-def test_what_parts_do_not_agree_on_is_as_likely_as_not(pool):
+def test_what_varies_too_much_is_as_likely_as_not(pool):
     before = posterior(9.0)
-    after = agreement.as_sure_as_parts_agree(pool, before)
+    after = parameter_constancy.as_sure_as_constant(pool, before)
     sure = before.effects[0].inclusion
     assert inclusions(after) == pytest.approx([sure, 0.5, sure, sure])
     assert pool.refitted == [
@@ -91,6 +91,6 @@ def test_what_parts_do_not_agree_on_is_as_likely_as_not(pool):
 @pytest.mark.parametrize(('by_parts', 'odds'), [(11.0, 2.0), (30.0, 9.0)])
 def test_odds_are_those_of_the_parts_if_these_are_less(pool, monkeypatch, by_parts, odds):
     monkeypatch.setitem(BY_PARTS, 'ripple', by_parts)
-    after = agreement.as_sure_as_parts_agree(pool, posterior(9.0))
+    after = parameter_constancy.as_sure_as_constant(pool, posterior(9.0))
     expected = inclusions(posterior(odds))[0]
     assert inclusions(after)[1] == pytest.approx(expected)

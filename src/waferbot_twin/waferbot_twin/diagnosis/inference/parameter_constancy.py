@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-A cause that is real has one size, in all parts of all logs.
+Parameter constancy: a cause that is real has one size, in all parts of all logs.
 
 What a model lacks is seldom the same twice: the next homing turns an eccentricity, the next day warms a
 bearing, another motion shows other parts of a curve. A cause that stands for such a thing explains some
 parts of the logs and makes others worse. So when the causes are known, each is judged once more, by a
-gain that is worth no more than beside what its parts disagree by (`noise_model.disagreement`). One that
+gain that is worth no more than beside what its parts disagree by (`noise_model.heterogeneity`). One that
 is not more probable than none by that is as likely as not: it stays in the model and has no name.
 """
 
@@ -25,8 +25,8 @@ from waferbot_twin.estimation.evidence import gain, log_evidence
 from waferbot_twin.estimation.hypothesis import Hypothesis
 
 
-def as_sure_as_parts_agree(pool: CandidatePool, posterior: Posterior) -> Posterior:
-    """Return a posterior whose causes are no more probable than parts of the logs agree on them."""
+def as_sure_as_constant(pool: CandidatePool, posterior: Posterior) -> Posterior:
+    """Return a posterior whose causes are no more probable than beside how their sizes vary."""
     effects = [
         effect
         if is_nuisance(effect.best.cause) or is_discrepancy(effect.best.cause)
@@ -40,9 +40,9 @@ def _judged(
     pool: CandidatePool, found: Hypothesis, name: str, effect: SingleEffect
 ) -> SingleEffect:
     """
-    Return an effect with odds that its parts agree on.
+    Return an effect with odds that have the heterogeneity of its size in them.
 
-    Where they do in the linear problem, it stays as it is; else the others are fitted without it.
+    Where there is none in the linear problem, it stays as it is; else the others are fitted without it.
     """
     problem = pool.problem
     more = with_last(problem, found, name)

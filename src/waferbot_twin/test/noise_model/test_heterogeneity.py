@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Disagreement between parts of logs: what is in some of them only, in noise that is known."""
+"""Sizes in parts of logs: what is in some of them only, in noise that is known."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from waferbot_twin.noise_model.disagreement import power_along, prior_of
+from waferbot_twin.noise_model.heterogeneity import power_along, prior_of
 from waferbot_twin.noise_model.misfit import InLog, StateFunctions
 
 RATE_HZ = 1000.0
