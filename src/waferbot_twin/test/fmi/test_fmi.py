@@ -172,8 +172,8 @@ def test_it_runs_where_there_is_no_checkout(fmu, tmp_path):
         f'r = fmpy.simulate_fmu({str(fmu())!r}, stop_time=0.001, step_size=1/18000,'
         " output_interval=1/18000, output=['y_linear_counts'], validate=False);"
         'import os, waferbot_plant; print(waferbot_plant.__file__, len(r), flush=True);'
-        # Not by the interpreter's end: the FMU's library has taken part in the same interpreter, and some
-        # three of ten times the heap is found corrupt when both are torn down, after all is done.
+        # Not by the interpreter's end: the FMU's library takes part in the same interpreter, and three
+        # of ten times the heap is found corrupt when both are torn down, after all is done.
         'os._exit(0)'
     )
     environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'} | {
