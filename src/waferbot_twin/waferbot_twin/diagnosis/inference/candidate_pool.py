@@ -8,9 +8,9 @@ the causes of its blocks, however many rounds there are, and lines in the spectr
 they stay where they are.
 
 Signatures are found once, beside the causes with which a search begins. In blocks where others are known
-by then, that of the most promising trial of every name is found anew, by ln BF and by ln BF in noise of
-known power, and those of all that let a part go: with one of these every other does something else. A
-search that begins with other causes finds only those anew whose blocks these change.
+by then, that of the most promising trial of every name is found anew, and those of all that let a part
+go: with one of these every other cause does something else. A search that begins with other causes
+finds only those anew whose blocks these change.
 """
 
 from __future__ import annotations
@@ -179,15 +179,11 @@ class CandidatePool:
             if changed.intersection(problem.touched(rival.effect, rival.axis))
         }
         kept = [item for item in screened if item.cause.name not in stale]
-        by_score = sorted(screened, key=lambda item: -item.score)
-        most: dict[Values, Cause] = {}
-        for ranked in (screened, by_score):
-            first: dict[str, Cause] = {}
-            for cause in (*(item.cause for item in ranked), *rivals):
-                first.setdefault(cause.name, cause)
-            most |= {values_of(one): one for one in first.values()}
+        first: dict[str, Cause] = {}
+        for cause in (*(item.cause for item in screened), *rivals):
+            first.setdefault(cause.name, cause)
         again = [
-            *(one for one in most.values() if one.name in stale - self._letting_go),
+            *(one for name, one in first.items() if name in stale - self._letting_go),
             *(one for one in rivals if one.name in stale & self._letting_go),
         ]
 
