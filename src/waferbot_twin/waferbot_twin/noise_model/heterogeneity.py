@@ -29,7 +29,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 from scipy.stats import chi2, f
 
@@ -40,12 +39,6 @@ Array = NDArray[np.float64]
 
 PARTS = 4
 """Parts of a log."""
-
-LEAST_SHARE = 1e-9
-"""Share of a direction that a part has at least, to say anything of it."""
-
-SHARPEST, WIDEST = 1e6, 1e-3
-"""Half of nu_0 between which it is looked for; beyond the first it is infinite."""
 
 
 def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog]) -> Power:
@@ -71,8 +64,12 @@ def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[
 
 
 def _heterogeneity(products: Array, squares: Array) -> tuple[Array, Array]:
-    """Return Q and its degrees of freedom (k,) of scores and squares (b, k), equation (1)."""
-    seen = squares > LEAST_SHARE * squares.sum(axis=0)
+    """
+    Return Q and its degrees of freedom (k,) of scores and squares (b, k), equation (1).
+
+    Of the parts where there is more of a direction than rounding makes.
+    """
+    seen = squares > np.finfo(float).eps * squares.sum(axis=0)
     products, squares = (np.where(seen, one, 0.0) for one in (products, squares))
     of_parts = np.divide(products**2, squares, out=np.zeros_like(squares), where=seen)
     total = squares.sum(axis=0)
@@ -103,9 +100,9 @@ def prior_of(variances: Array, freedom: Array) -> tuple[float, float]:
     half = 0.5 * freedom
     logs = np.log(np.maximum(variances, np.finfo(float).tiny)) - digamma(half) + np.log(half)
     more = float(np.var(logs, ddof=1) - np.mean(polygamma(1, half)))
-    if more <= polygamma(1, SHARPEST):
+    if more <= 0.0:
         return common, math.inf
-    known = _half_with(min(more, float(polygamma(1, WIDEST))))
+    known = _half_with(more)
     middle = math.exp(float(np.mean(logs)) + float(digamma(known)) - math.log(known))
     alike = chi2.logpdf(variances * freedom / common, freedom) + np.log(freedom / common)
     apart = f.logpdf(variances / middle, freedom, 2.0 * known) - math.log(middle)
@@ -115,5 +112,14 @@ def prior_of(variances: Array, freedom: Array) -> tuple[float, float]:
 
 
 def _half_with(variance: float) -> float:
-    """Return half of the degrees of freedom with which ln of chi squared has a variance."""
-    return float(brentq(lambda half: float(polygamma(1, half)) - variance, WIDEST, SHARPEST))
+    """
+    Return half of the degrees of freedom with which ln of chi squared has a variance.
+
+    Newton's steps for the inverse of the trigamma function, from below (Smyth 2004, appendix).
+    """
+    half, step = 0.5 + 1.0 / variance, math.inf
+    while abs(step) > np.sqrt(np.finfo(float).eps) * half:
+        now = float(polygamma(1, half))
+        step = now * (1.0 - now / variance) / float(polygamma(2, half))
+        half += step
+    return half
