@@ -163,30 +163,39 @@ def fmpy_start(file):
     return next(one.start for one in description.modelVariables if one.name == MASS)
 
 
-@pytest.mark.slow
-def test_it_runs_where_there_is_no_checkout(fmu, tmp_path):
-    """In a Python that has the packages of its requirements, without ours on its path."""
+def without_checkout(file, folder, end):
+    """Simulate an FMU in a Python without our packages on its path, which ends by a statement."""
     code = (
-        'import sys, fmpy;'
+        'import os, sys, fmpy;'
         "assert not any('waferbot' in name for name in sys.modules);"
-        f'r = fmpy.simulate_fmu({str(fmu())!r}, stop_time=0.001, step_size=1/18000,'
+        f'r = fmpy.simulate_fmu({str(file)!r}, stop_time=0.001, step_size=1/18000,'
         " output_interval=1/18000, output=['y_linear_counts'], validate=False);"
-        'import os, waferbot_plant; print(waferbot_plant.__file__, len(r), flush=True);'
-        # Not by the interpreter's end: the FMU's library takes part in the same interpreter, and three
-        # of ten times the heap is found corrupt when both are torn down, after all is done.
-        'os._exit(0)'
+        f'import waferbot_plant; print(waferbot_plant.__file__, len(r), flush=True); {end}'
     )
     environment = {key: value for key, value in os.environ.items() if key != 'PYTHONPATH'} | {
         'NUMBA_DISABLE_JIT': '1'
     }
-    done = subprocess.run(
-        [sys.executable, '-c', code], cwd=tmp_path, env=environment, capture_output=True, text=True,
+    return subprocess.run(
+        [sys.executable, '-c', code], cwd=folder, env=environment, capture_output=True, text=True,
         timeout=280, check=False,
     )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_it_runs_where_there_is_no_checkout(fmu, tmp_path):
+    """In a Python that has the packages of its requirements, without ours on its path."""
+    done = without_checkout(fmu(), tmp_path, 'os._exit(0)')
     assert done.returncode == 0, done.stderr
     where, rows = done.stdout.split()[-2:]
     assert '/resources/' in where
     assert int(rows) == 19
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(reason='the heap is found corrupt at the end, 7 of 24 times; cause not found')
+def test_an_importer_that_is_a_python_itself_ends_in_order(fmu, tmp_path):
+    done = without_checkout(fmu(), tmp_path, 'pass')
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_step_that_is_no_whole_number_of_ticks_is_an_error(fmu):

@@ -129,7 +129,11 @@ def motor_ratio(variant: Variant, axis: str) -> float:
 
 
 def has_poles(variant: Variant, axis: str) -> bool:
-    """Return whether the description has the poles of an axis' motor; one pair a turn if not."""
+    """
+    Return whether the description has the poles of an axis' motor.
+
+    One by force per ampere alone has one pair a turn if not; a single pair is taken for that.
+    """
     motor = variant.description.motors[axis]
     return not motor.by_force or motor.electrical_gain != 1.0
 
