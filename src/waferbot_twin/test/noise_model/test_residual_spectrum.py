@@ -96,6 +96,20 @@ def test_intervals_by_the_covariance_of_a_fit_hold_the_truth(noise):
     assert np.all((inside >= FEWEST) & (inside <= MOST))
 
 
+def test_no_direction_of_many_is_known_better_than_in_noise_as_assumed():
+    """Of more directions than noise has degrees of freedom some show none of it."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    signatures = random.normal(size=(SAMPLES, 2 * FEWEST_FREEDOM))
+    found = fit([random.normal(size=SAMPLES)], [signatures], [Noise(1e-9, ORDER)])
+    system, _ = whitened([random.normal(size=SAMPLES)], [signatures], found.colours)
+    as_assumed = np.linalg.cholesky(system.T @ system)
+    half = np.linalg.solve(as_assumed, information([system], found))
+    shares = np.linalg.eigvalsh(np.linalg.solve(as_assumed, half.T))
+    assert shares.max() < 1.0 + 1e-9
+    assert shares.min() > 0.05  # noise has no more than its own power either, but by chance
+
+
 def test_taken_as_white_noise_louder_while_moving_would_be_known_too_well():
     """Why there is a power along a direction: the usual intervals of the speed's share."""
     random = np.random.default_rng(SEED)

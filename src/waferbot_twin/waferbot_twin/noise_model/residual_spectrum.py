@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from waferbot_twin.noise_model import misfit
-from waferbot_twin.noise_model.gram import SMALLEST, spanning
+from waferbot_twin.noise_model.gram import spanning
 from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
@@ -178,8 +178,9 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
 
     J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
     channel A_c' A_c. What misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
-    along what A does not show (`gram.spanning`). Noise has the share SMALLEST^2 of the power that the
-    noise model says at least.
+    along what A does not show (`gram.spanning`). As in equation (1) no direction has less noise than the
+    noise model says: some of k have next to none by chance, or none where k is large, and what was
+    fitted would be known there to the last digit.
     """
     products = np.sum([part.T @ part for part in systems], axis=0)
     noisy = np.zeros_like(products)
@@ -193,6 +194,6 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
         rows, left = ([some[place] for place in places] for some in (systems, estimate.whitened))
         noisy += misfit.covariance_of(rows, left, logs)
     basis = spanning(products)
-    power = basis.T @ noisy @ basis + SMALLEST**2 * np.eye(basis.shape[1])
-    shown = products @ basis
-    return np.asarray(shown @ np.linalg.inv(power) @ shown.T, np.float64)
+    powers, directions = np.linalg.eigh(basis.T @ noisy @ basis)
+    shown = products @ basis @ directions
+    return np.asarray(shown / np.maximum(powers, 1.0) @ shown.T, np.float64)
