@@ -80,7 +80,9 @@ def with_known(
         ]
     names = 'one value' if len(taken) == 1 else f'{len(taken)} values'
     notes.append(f'{names} of earlier logs of this machine took part')
-    return replace(updated, covariance=covariance), notes
+    curvature = found.curvature.copy()
+    curvature[places, places] += [known.error**-2.0 for known in taken]
+    return replace(updated, covariance=covariance, curvature=curvature), notes
 
 
 def _prior(problem: Problem, cause: Cause) -> list[float]:

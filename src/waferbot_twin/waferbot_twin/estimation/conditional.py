@@ -2,12 +2,14 @@
 """
 What a fitted set of causes says of itself without some of them, in the linear problem.
 
-With w the values of those causes that go, V_ww their covariance and V_vw that with the values v of the
-others,
+With w the values of those causes that go, v those of the others, the curvature B = A' A + P with which
+they were fitted (`hypothesis.Hypothesis`) and their covariance V = B^-1 M B^-1, M that of the products
+A' e, the others without them are
 
-    v - V_vw V_ww^-1 w    with the covariance    V_vv - V_vw V_ww^-1 V_wv                        (1)
+    v + B_vv^-1 B_vw w    with the covariance    B_vv^-1 M_vv B_vv^-1,                            (1)
 
-are those of the others without them.
+as if fitted again. If all noise is as assumed, M = B, and that is what the conditional distribution of
+v has for w = 0; where there is more of it along some directions, the weights of a fit are still B.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_twin.estimation.gauss_newton import Names, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
-from waferbot_twin.estimation.size_prior import information_of_logs
+from waferbot_twin.estimation.size_prior import LARGEST, information_of_logs
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
@@ -38,15 +41,28 @@ def conditional(
             for place, item in names
         ]
     )
-    spread = found.covariance
-    if len(spread) != len(names):  # nothing was fitted
-        spread = np.zeros((len(names), len(names)))
+    if len(found.covariance) != len(names):  # nothing was fitted
+        return names, away, np.zeros((len(names), len(names)))
     gone = np.array([found.causes[place].name in out for place, _ in names], np.bool_)
-    if gone.any():
-        follows = spread[:, gone] @ np.linalg.pinv(spread[np.ix_(gone, gone)], hermitian=True)
-        away = away - follows @ away[gone]
-        spread = spread - follows @ spread[gone]
-    return names, away, spread
+    return names, *_fitted_without(away, found.covariance, found.curvature, gone)
+
+
+def _fitted_without(
+    values: Array, covariance: Array, curvature: Array, gone: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return values (k,) and covariance (k, k), equation (1), with those that are `gone` zero."""
+    if not gone.any():
+        return values, covariance
+    kept = ~gone
+    unit = 1.0 / np.sqrt(np.where(np.diag(curvature) > 0.0, np.diag(curvature), 1.0))
+    scaled = curvature * np.outer(unit, unit)
+    scores = scaled @ (covariance / np.outer(unit, unit)) @ scaled
+    inverse = np.linalg.pinv(scaled[np.ix_(kept, kept)], rcond=1.0 / LARGEST, hermitian=True)
+    moved, spread = np.zeros(len(values)), np.zeros(covariance.shape)
+    follows = inverse @ scaled[np.ix_(kept, gone)] @ (values / unit)[gone]
+    moved[kept] = values[kept] + unit[kept] * follows
+    spread[np.ix_(kept, kept)] = inverse @ scores[np.ix_(kept, kept)] @ inverse
+    return moved, spread * np.outer(unit, unit)
 
 
 def others_without(problem: Problem, found: Hypothesis, out: Collection[str]) -> tuple[Cause, ...]:

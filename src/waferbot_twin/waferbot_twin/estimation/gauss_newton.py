@@ -160,15 +160,23 @@ def fit_causes(
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
         seen = all_signatures(problem, now, workers, known, errors)
-    return replace(now, covariance=_covariance(problem, now, seen))
+    return _with_covariance(problem, now, seen)
 
 
-def _covariance(problem: Problem, now: Hypothesis, signatures: Sequence[Signature]) -> Array:
-    """Return the covariance (k, k) of the values of a hypothesis, with what the prior says of them."""
+def _with_covariance(
+    problem: Problem, now: Hypothesis, signatures: Sequence[Signature]
+) -> Hypothesis:
+    """Return a hypothesis with covariance and curvature, with what the prior says of its values."""
     together = _together(problem, now, signatures)
     estimate = fit_jointly(problem, now.residuals, together, rounds=1, known=now.fits)
     rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
-    return posterior_covariance(information(rows, estimate), _prior(problem, now))
+    prior = _prior(problem, now)
+    products = np.sum([part.T @ part for part in rows], axis=0)
+    return replace(
+        now,
+        covariance=posterior_covariance(information(rows, estimate), prior),
+        curvature=products + np.diag(prior),
+    )
 
 
 def _corrected(

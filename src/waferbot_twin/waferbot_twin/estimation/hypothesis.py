@@ -26,12 +26,18 @@ NARROW = 0.002
 
 @dataclass
 class Hypothesis:
-    """A set of causes: residuals and likelihood by block, covariance of all their parameters."""
+    """
+    A set of causes: residuals and likelihood by block, covariance (k, k) of all their parameters.
+
+    And the curvature (k, k) with which they were fitted, A' A of white signatures and the precision
+    of their prior: the inverse of the covariance if all noise were as assumed. Both empty before a fit.
+    """
 
     causes: tuple[Cause, ...]
     residuals: dict[str, list[Array]]
     fits: dict[str, Fit]
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    curvature: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def log_likelihood(self) -> float:

@@ -19,6 +19,7 @@ from waferbot_twin.estimation.gauss_newton import ENOUGH, ROUNDS, fit_causes
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
 
 
 @dataclass(frozen=True)
@@ -158,12 +159,17 @@ def part_of(
 ) -> Hypothesis:
     """Return what a hypothesis says of some of its causes and of some blocks."""
     own = _parameters_at(problem, hypothesis.causes, places)
-    whole = len(hypothesis.covariance) == _count(problem, hypothesis.causes)
+    count = _count(problem, hypothesis.causes)
+
+    def of_own(matrix: Array) -> Array:
+        return matrix[np.ix_(own, own)] if len(matrix) == count else np.zeros((0, 0))
+
     return Hypothesis(
         tuple(hypothesis.causes[place] for place in places),
         {block: one for block, one in hypothesis.residuals.items() if block in blocks},
         {block: one for block, one in hypothesis.fits.items() if block in blocks},
-        hypothesis.covariance[np.ix_(own, own)] if whole else np.zeros((0, 0)),
+        of_own(hypothesis.covariance),
+        of_own(hypothesis.curvature),
     )
 
 
@@ -171,7 +177,7 @@ def joined(problem: Problem, parts: Sequence[tuple[Sequence[int], Hypothesis]]) 
     """
     Return one hypothesis made of parts, each with the places that its causes have in the whole.
 
-    Covariances between parts are zero. Blocks are in the order of the problem.
+    Covariances and curvatures between parts are zero. Blocks are in the order of the problem.
     """
     count = sum(len(places) for places, _ in parts)
     causes: list[Cause] = [None] * count  # type: ignore[list-item]
@@ -179,16 +185,18 @@ def joined(problem: Problem, parts: Sequence[tuple[Sequence[int], Hypothesis]]) 
         for place, cause in zip(places, part.causes, strict=True):
             causes[place] = cause
     total = _count(problem, causes)
-    covariance = np.zeros((total, total))
+    covariance, curvature = np.zeros((2, total, total))
     for places, part in parts:
         own = _parameters_at(problem, causes, places)
         if len(part.covariance) == len(own):
             covariance[np.ix_(own, own)] = part.covariance
+            curvature[np.ix_(own, own)] = part.curvature
     return Hypothesis(
         tuple(causes),
         {b: part.residuals[b] for b in problem.blocks for _, part in parts if b in part.residuals},
         {b: part.fits[b] for b in problem.blocks for _, part in parts if b in part.fits},
         covariance,
+        curvature,
     )
 
 

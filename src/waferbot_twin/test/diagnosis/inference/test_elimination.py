@@ -37,15 +37,16 @@ class Term:
         return (Parameter('value', '', 0.0, 1.0, -100.0, 100.0, ''),)
 
 
-def least_squares(columns, wanted, names):
-    """Return the hypothesis of least squares in noise of variance 1."""
-    covariance = np.linalg.inv(columns.T @ columns)
-    values = covariance @ columns.T @ wanted
+def least_squares(columns, wanted, names, noise=1.0):
+    """Return the hypothesis of least squares in noise of such variance (n,), taken for 1."""
+    inverse = np.linalg.inv(columns.T @ columns)
+    values = inverse @ columns.T @ wanted
+    products = columns.T @ (np.broadcast_to(noise, len(columns))[:, None] * columns)
     causes = tuple(
         Cause(Term(name), 'x', {'value': float(value)})
         for name, value in zip(names, values, strict=True)
     )
-    return Hypothesis(causes, {}, {}, covariance)
+    return Hypothesis(causes, {}, {}, inverse @ products @ inverse, columns.T @ columns)
 
 
 @settings(max_examples=30, deadline=None)
@@ -54,12 +55,13 @@ def test_what_is_out_leaves_the_others_as_least_squares_without_it_do(seed, out)
     random = np.random.default_rng(seed)
     columns = random.standard_normal((50, 4)) @ random.standard_normal((4, 4))
     wanted = columns @ random.normal(0.0, 0.3, 4) + random.standard_normal(50)
+    noise = random.choice([1.0, 400.0], 50)  # there may be more of it than anybody assumes
     inside = [place for place, name in enumerate(NAMES) if name not in out]
     names = [NAMES[place] for place in inside]
     found = _linear_odds(
-        POOL, least_squares(columns, wanted, NAMES), {f'{name}:x' for name in out}
+        POOL, least_squares(columns, wanted, NAMES, noise), {f'{name}:x' for name in out}
     )
-    truth = _linear_odds(POOL, least_squares(columns[:, inside], wanted, names))
+    truth = _linear_odds(POOL, least_squares(columns[:, inside], wanted, names, noise))
     assert found.keys() == truth.keys()
     assert found == pytest.approx(truth, rel=1e-6, abs=1e-6)
 

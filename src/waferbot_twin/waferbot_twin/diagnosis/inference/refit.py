@@ -37,6 +37,7 @@ from waferbot_twin.estimation.separable import (
 from waferbot_twin.estimation.size_prior import log_prior
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.record import Array
 
 ENOUGH, ROUGHLY, ROUNDS = 0.3, 1e-2, 6
 """
@@ -175,11 +176,16 @@ def with_last(problem: Problem, found: Hypothesis, name: str) -> Hypothesis:
     counts = [len(parameters_of(problem, cause)) for cause in found.causes]
     firsts = np.cumsum([0, *counts])
     order = [n for place in places for n in range(firsts[place], firsts[place + 1])]
-    spread = found.covariance
-    if len(spread) == len(order):
-        spread = spread[np.ix_(order, order)]
-    causes = tuple(found.causes[place] for place in places)
-    return replace(found, causes=causes, covariance=spread)
+
+    def in_order(matrix: Array) -> Array:
+        return matrix[np.ix_(order, order)] if len(matrix) == len(order) else matrix
+
+    return replace(
+        found,
+        causes=tuple(found.causes[place] for place in places),
+        covariance=in_order(found.covariance),
+        curvature=in_order(found.curvature),
+    )
 
 
 class Refits:
