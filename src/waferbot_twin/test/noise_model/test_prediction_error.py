@@ -129,3 +129,33 @@ def test_the_second_of_a_pair_is_told_by_the_present_of_the_first():
     assert found.colours[1].error.own == pytest.approx([1.0, 0.0, 0.0], abs=0.02)
     assert found.colours[1].error.other == pytest.approx([-0.7, -0.3, 0.0], abs=0.02)
     assert [one.deviation for one in found.colours] == pytest.approx([1.0, 0.1], rel=0.02)
+
+
+def test_a_colour_that_was_heard_is_taken_where_it_is_the_more_likely_one():
+    """Of low order a process is found badly; another record of it has the right filter."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    here, there = (lfilter([1.0], [1.0, -1.6, 0.8], random.normal(size=4000)) for _ in range(2))
+    known = likelihood([there], [Noise(1e-9, 2)]).colours
+    noises = [Noise(1e-9, 1)]
+    own, with_known = likelihood([here], noises), likelihood([here], noises, known)
+    assert with_known.log_likelihood > own.log_likelihood + 1000.0
+    assert with_known.colours[0].error is known[0].error
+    louder = likelihood([3.0 * here], noises, known)  # the deviation is its own
+    assert louder.colours[0].deviation == pytest.approx(3.0 * with_known.colours[0].deviation)
+    worse = likelihood([here], [Noise(1e-9, 2)], own.colours)
+    assert worse.colours[0].error is not own.colours[0].error
+    assert worse.log_likelihood == likelihood([here], [Noise(1e-9, 2)]).log_likelihood
+
+
+def test_two_of_one_process_take_a_colour_together():
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    noises = [Noise(1e-9, 2, beside=1), Noise(1e-9, 2, beside=-1)]
+    here, there = (
+        [lfilter([1.0], [1.0, -1.6, 0.8], random.normal(size=4000)) for _ in range(2)]
+        for _ in range(2)
+    )
+    known = likelihood(there, noises).colours
+    chosen = likelihood(here, noises, known).colours
+    assert len({one.error is two.error for one, two in zip(chosen, known, strict=True)}) == 1

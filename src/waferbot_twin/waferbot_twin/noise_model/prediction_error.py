@@ -290,9 +290,44 @@ def reduced(parts: Sequence[Normal]) -> tuple[Array, Array]:
     return np.asarray(directions.T @ products), np.asarray(directions.T @ moments)
 
 
-def likelihood(residuals: Sequence[Array], noises: Sequence[Noise]) -> Fit:
-    """Return how likely residuals (N,) are as they stand."""
-    return _result(residuals, np.zeros(0), np.zeros((0, 0)), noises)
+def likelihood(
+    residuals: Sequence[Array], noises: Sequence[Noise], heard: Sequence[Colour] = ()
+) -> Fit:
+    """
+    Return how likely residuals (N,) are as they stand.
+
+    Each channel, or both of one process, with the more likely one of the colour that is found in it and
+    of that which is `heard` already, in another model's residuals, with a deviation of its own: noise is
+    the same whatever the model.
+    """
+    colours = _colours(residuals, noises)
+    if heard:
+        colours = _more_likely(residuals, noises, colours, heard)
+    return _result(
+        residuals, np.zeros(0), np.zeros((0, 0)), noises, colours, [False] * len(noises)
+    )
+
+
+def _more_likely(
+    left: Sequence[Array],
+    noises: Sequence[Noise],
+    own: Sequence[Colour],
+    heard: Sequence[Colour],
+) -> list[Colour]:
+    rescaled = [
+        replace(
+            colour,
+            deviation=max(math.sqrt(float(np.mean(colour.error(left, place) ** 2))), noise.floor),
+        )
+        for place, (colour, noise) in enumerate(zip(heard, noises, strict=True))
+    ]
+    both = (own, rescaled)
+    firsts = [min(place, place + noise.beside) for place, noise in enumerate(noises)]
+    likely = [
+        np.bincount(firsts, _log_likelihoods(in_deviations(colours, left), colours), len(firsts))
+        for colours in both
+    ]
+    return [both[int(likely[1][first] > likely[0][first])][n] for n, first in enumerate(firsts)]
 
 
 def _left(residuals: Sequence[Array], signatures: Sequence[Array], value: Array) -> list[Array]:

@@ -15,7 +15,7 @@ from waferbot_lockstep.contract import AXES
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Itself, Variant
 from waferbot_twin.noise_model.misfit import InLog, StateFunctions
-from waferbot_twin.noise_model.prediction_error import Fit, Noise, likelihood
+from waferbot_twin.noise_model.prediction_error import Colour, Fit, Noise, likelihood
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.controller_block import controller_block
 from waferbot_twin.residuals.drive_block import AmplifierBlock, CurrentLoopBlock, WindingsBlock
@@ -130,6 +130,7 @@ class Problem:
         self.nominal = nominal
         self.records = tuple(records)
         self.size_scales: tuple[float, ...] = ()
+        self.heard: dict[str, tuple[Colour, ...]] = {}
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
@@ -239,8 +240,20 @@ class Problem:
     def with_coloured_forces(self) -> Problem:
         """Return the same problem with noise whose forces may have a colour: to refute causes."""
         other = copy.copy(self)
+        other.heard = {}
         coloured: list[BlockOfLog] = [part.with_coloured_forces() for part in self.plants]
         other.blocks = {**self.blocks, PLANT: coloured}
+        return other
+
+    def with_noise_of(self, fits: Mapping[str, Fit]) -> Problem:
+        """
+        Return the same problem where residuals may have the noise of these, too.
+
+        The spectrum of noise is found in what does not go with the motion, and that of a model which is
+        wrong may be one that suits no residual.
+        """
+        other = copy.copy(self)
+        other.heard = {block: one.colours for block, one in fits.items() if block != PRIOR}
         return other
 
     def with_prior(self, groups: Sequence[Sequence[str]], scales: Sequence[float] = ()) -> Problem:
@@ -317,9 +330,9 @@ class Problem:
         return [channel.name for channel in self.channels(block)]
 
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
-        """Return how likely residuals are as they stand, block by block."""
+        """Return how likely residuals are as they stand, block by block (`with_noise_of`)."""
         return {
-            block: likelihood(channels, self.noises(block))
+            block: likelihood(channels, self.noises(block), self.heard.get(block, ()))
             for block, channels in residuals.items()
             if channels
         }

@@ -50,7 +50,12 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     monkeypatch.setattr(search, '_instrumented', lambda pool, found, effects: (None, effects))
     monkeypatch.setattr(search, 'to_the_end', lambda problem, found, workers: found)
     pool = SimpleNamespace(
-        problem=None, settings=Settings(), names=['a'], workers=1, begin=lambda nothing: None
+        problem=None,
+        settings=Settings(),
+        names=['a'],
+        workers=1,
+        begin=lambda nothing: None,
+        hear=lambda found: None,
     )
     found = search.infer(pool).found
     assert usual_were_there == asked

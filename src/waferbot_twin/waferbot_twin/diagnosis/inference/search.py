@@ -72,6 +72,7 @@ def infer(pool: CandidatePool) -> Posterior:
     """
     nothing = evaluate(pool.problem)
     pool.begin(nothing)
+    pool.hear(nothing)
     found, effects = nothing, list[SingleEffect]()
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
@@ -160,6 +161,7 @@ def _ask_on(
         along |= {one.name for one in first}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
+        pool.hear(found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
 
