@@ -66,6 +66,9 @@ class Sum:
     def touched(self, effect, axis):
         return (PLANT,)
 
+    def sized_by_log(self, effect, axis):
+        return False
+
     def between(self, one, other):
         return (PLANT,)
 
@@ -85,21 +88,29 @@ def cause(*sizes):
     return Cause(effect, 'x', {**values, 'shape': 5.0}, ('shape',))
 
 
-PROBLEM = SimpleNamespace(nominal=None, size_scales=SCALES)
+PROBLEM = SimpleNamespace(
+    nominal=None, size_scales=SCALES, sized_by_log=lambda effect, axis: False
+)
 SIZES = st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=3)
 
 
-@given(one=SIZES, factor=st.floats(0.01, 10.0))
-def test_the_density_is_a_mixture_of_normal_ones(one, factor):
+@given(one=SIZES, factor=st.floats(0.01, 10.0), by_log=st.booleans())
+def test_the_density_is_a_mixture_of_normal_ones(one, factor, by_log):
+    """With wider ones where the typical size follows from currents that may be next to none."""
+    scales = (*SCALES, 30.0, 100.0) if by_log else SCALES
+    problem = SimpleNamespace(
+        nominal=None, size_scales=SCALES, sized_by_log=lambda effect, axis: by_log
+    )
+
     def density(sizes):
         terms = [
             sum(norm(0.0, s * own).logpdf(w) for w, own in zip(sizes, TYPICAL, strict=False))
-            for s in SCALES
+            for s in scales
         ]
-        return logsumexp(terms) - math.log(len(SCALES))
+        return logsumexp(terms) - math.log(len(scales))
 
     other = [factor * size for size in one]
-    found = log_prior(PROBLEM, [cause(*one)]) - log_prior(PROBLEM, [cause(*other)])
+    found = log_prior(problem, [cause(*one)]) - log_prior(problem, [cause(*other)])
     assert found == pytest.approx(density(one) - density(other), abs=1e-9)
 
 

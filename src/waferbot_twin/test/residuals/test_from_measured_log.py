@@ -32,6 +32,7 @@ from waferbot_twin.residuals.from_measured_log import (
 )
 from waferbot_twin.residuals.load import load_record
 from waferbot_twin.residuals.plant_block import PlantBlock
+from waferbot_twin.residuals.problem import Problem
 
 INERTIA = 2.5e-4  # kg m2, of the direct-drive motor
 COUNTS = 8192.0 / (2.0 * math.pi)
@@ -210,6 +211,18 @@ def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:
     assert places.rated_force(sized, AXIS) == pytest.approx(
         float(np.sqrt(np.mean(force**2))), rel=0.02
     )
+
+
+@pytest.mark.parametrize(
+    ('name', 'by_log'),
+    [('coulomb_friction', True), ('cogging', True), ('force_constant', False)],
+)
+def test_what_the_log_used_tells_no_rating(random, motor, name, by_log) -> None:
+    """The size of a force is then a guess, that of a ratio is not."""
+    records = [record_of_measured_log(log_of(random), motor)]
+    effect = find(name)
+    assert Problem(sized_by(records, motor), records).sized_by_log(effect, AXIS) is by_log
+    assert not Problem(motor, records).sized_by_log(effect, AXIS)
 
 
 def test_what_cannot_be_used_is_said(random, motor, tmp_path) -> None:

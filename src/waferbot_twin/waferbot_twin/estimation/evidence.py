@@ -54,6 +54,7 @@ from waferbot_twin.estimation.size_prior import (
     information_of_logs,
     log_prior,
     precision,
+    scales_of,
 )
 from waferbot_twin.noise_model import heterogeneity, misfit
 from waferbot_twin.noise_model.misfit import InLog
@@ -246,7 +247,7 @@ def log_evidence(
     cause = more.causes[-1]
     own = parameters_of(problem, cause)
     known = information_of(problem, more, len(more.causes) - 1)
-    occam = log_occam(cause, own, known, scales)
+    occam = log_occam(cause, own, known, scales_of(problem, cause, scales))
     gained = gain(more, fewer) if gained is None else gained
     next_to_none = with_next_to_none(problem, more)
     if next_to_none is not None:

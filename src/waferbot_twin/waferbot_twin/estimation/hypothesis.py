@@ -192,6 +192,16 @@ def is_nothing(problem: Problem, cause: Cause) -> bool:
     )
 
 
+def on_a_bound(problem: Problem, cause: Cause) -> bool:
+    """Return whether a size of a cause is as large as it can be: then it stands in for another one."""
+    return any(
+        cause.values[item.name] in (item.low, item.high)
+        and cause.values[item.name] != item.neutral
+        for item in parameters_of(problem, cause)
+        if not item.shape and item.spread == 0.0
+    )
+
+
 def signature(
     problem: Problem,
     hypothesis: Hypothesis,

@@ -37,19 +37,34 @@ LARGEST = 1e12
 """Most that is known of anything, over the least that is: the rest is rounding, not knowledge."""
 
 
+FURTHER = (30.0, 100.0)
+"""
+Scales beside those of an effect whose typical size follows from the currents of a log.
+
+A drive that carries next to nothing has a hundredth of its rated current.
+"""
+
+
+def scales_of(problem: Problem, cause: Cause, scales: Sequence[float]) -> tuple[float, ...]:
+    """Return the scales of the prior of a cause's sizes, of those of what has a rating."""
+    by_log = bool(scales) and problem.sized_by_log(cause.effect, cause.axis)
+    return (*scales, *(FURTHER if by_log else ()))
+
+
 def log_prior(problem: Problem, causes: Sequence[Cause]) -> float:
     """Return ln of equation (1) of all causes, up to a constant for each; 0 without a prior."""
     total = 0.0
     for cause in causes if problem.size_scales else ():
         count, square = _of(cause, parameters_of(problem, cause))
-        terms = _log_terms(count, square, problem.size_scales)
+        terms = _log_terms(count, square, scales_of(problem, cause, problem.size_scales))
         total += float(logsumexp(terms)) if count else 0.0
     return total
 
 
 def precision(problem: Problem, cause: Cause) -> Array:
     """Return the diagonal (k,) of equation (2) for the parameters of a cause; zeros without a prior."""
-    return precision_at(cause, parameters_of(problem, cause), problem.size_scales)
+    scales = scales_of(problem, cause, problem.size_scales)
+    return precision_at(cause, parameters_of(problem, cause), scales)
 
 
 def precision_at(cause: Cause, parameters: Sequence[Parameter], scales: Sequence[float]) -> Array:

@@ -131,6 +131,9 @@ class Problem:
         self.records = tuple(records)
         self.size_scales: tuple[float, ...] = ()
         self.heard: dict[str, tuple[Colour, ...]] = {}
+        self._by_log: dict[tuple[str, str], bool] = {}
+        usual = {axis: 2.0 * current for axis, current in nominal.usual_current.items()}
+        self._twice = replace(nominal, usual_current=usual) if usual else nominal
         self.blocks: dict[str, list[BlockOfLog]] = {block: [] for block in UNITS}
         for record in records:
             self.blocks[PLANT].append(PlantBlock(record, nominal))
@@ -328,6 +331,18 @@ class Problem:
     def channel_names(self, block: str) -> list[str]:
         """Return the name of every channel of a block, log by log."""
         return [channel.name for channel in self.channels(block)]
+
+    def sized_by_log(self, effect: Effect, axis: str) -> bool:
+        """
+        Return whether the typical sizes of an effect follow from the currents of the logs.
+
+        As of a drive that nobody described: what it did says little of what it can do.
+        """
+        key = effect.name, axis
+        if key not in self._by_log:
+            before, after = (effect.typical(one, axis) for one in (self.nominal, self._twice))
+            self._by_log[key] = before != after
+        return self._by_log[key]
 
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block (`with_noise_of`)."""

@@ -21,7 +21,7 @@ from waferbot_twin.residuals.problem import Cause
 
 NAMES = ('one', 'two', 'three', 'four')
 POOL = SimpleNamespace(
-    problem=SimpleNamespace(nominal=None, size_scales=()),
+    problem=SimpleNamespace(nominal=None, size_scales=(), sized_by_log=lambda effect, axis: False),
     settings=Settings(),
     log_prior=lambda cause: -3.0,
 )
@@ -91,6 +91,34 @@ def test_without_a_covariance_nothing_is_out():
 def effect_of(cause):
     found = SimpleNamespace(causes=(cause,))
     return SingleEffect((Member(found, 0.0, -3.0, 1.0),), 0.0)
+
+
+def test_what_a_fit_has_brought_to_a_bound_goes(monkeypatch):
+    """However much it gains: it is as large as it can be, so it stands in for something else."""
+    at_bound = Cause(Term('two'), 'x', {'value': 100.0})
+    every = [Cause(Term(name), 'x', {'value': 1.0}) for name in ('one', 'three')]
+    asked = []
+
+    def odds_beside(pool, found, name):
+        asked.append(name)
+        kept = tuple(cause for cause in found.causes if cause.name != name)
+        return 50.0, SimpleNamespace(causes=kept)
+
+    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
+    monkeypatch.setattr(
+        elimination,
+        '_linear_odds',
+        lambda pool, found, out=(): {'one:x': 20.0, 'two:x': 90.0, 'three:x': 30.0},
+    )
+    monkeypatch.setattr(elimination, '_odds_beside', odds_beside)
+    monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
+    pool = SimpleNamespace(**vars(POOL), workers=1)
+    causes = (every[0], at_bound, every[1])
+    effects = [effect_of(cause) for cause in causes]
+    found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects)
+    assert [cause.name for cause in found.causes] == ['one:x', 'three:x']
+    assert [effect.best.cause.name for effect in left] == ['one:x', 'three:x']
+    assert asked == ['two:x', 'one:x']
 
 
 def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch):

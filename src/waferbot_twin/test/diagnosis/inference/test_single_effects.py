@@ -90,6 +90,9 @@ class Sum:
         self.blocks = {PLANT: [None]}
         self.measured = measured
 
+    def sized_by_log(self, effect, axis):
+        return False
+
     def touched(self, effect, axis):
         return (PLANT,)
 

@@ -20,8 +20,13 @@ from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
-from waferbot_twin.estimation.size_prior import information_of_logs, log_prior, precision
+from waferbot_twin.estimation.hypothesis import Hypothesis, on_a_bound, parameters_of
+from waferbot_twin.estimation.size_prior import (
+    information_of_logs,
+    log_prior,
+    precision,
+    scales_of,
+)
 from waferbot_twin.residuals.problem import Problem
 
 
@@ -37,7 +42,8 @@ def evident(
     Backward elimination: the one that the linear problem finds least evident goes first, the rest is
     fitted anew without it. Where the logs then want it back, those that were asked for before are
     evident, too, with these odds at least: their own may be from beside other causes. What came along
-    (`tentative`) was never asked for: each of these has to be wanted back itself.
+    (`tentative`) was never asked for: each of these has to be wanted back itself. One that a fit has
+    brought to a bound of what is possible goes, whatever it does: it stands in for another one.
     """
     left = [*effects, *tentative]
     # About other values than the best a fit without a cause gains what was not yet gained with it.
@@ -52,10 +58,11 @@ def evident(
             open_ones &= names
             continue
         by_linear = _linear_odds(pool, found)
-        name = min(sorted(open_ones), key=lambda one: by_linear[one])
+        on_bounds = {one.name for one in found.causes if on_a_bound(pool.problem, one)}
+        name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
         odds, base = _odds_beside(pool, found, name)
         open_ones.discard(name)
-        if odds > log_odds_at(pool.settings.included_from):
+        if odds > log_odds_at(pool.settings.included_from) and name not in on_bounds:
             odds_of[name] = odds
             asked = open_ones - {one.best.cause.name for one in tentative}
             odds_of |= {
@@ -131,7 +138,7 @@ def _most_odds_of_one(
             cause,
             parameters_of(pool.problem, cause),
             information_of(pool.problem, more, place),
-            scales,
+            scales_of(pool.problem, cause, scales),
         )
         + pool.log_prior(cause)
         for place, cause in enumerate(more.causes)
@@ -192,7 +199,8 @@ def _linear_odds(
         known = information_of_logs(spread[np.ix_(own, own)], prior)
         of_sizes = information_of_logs(spread[np.ix_(own & sizes, own & sizes)], prior[inside])
         gained = 0.5 * float(away[own & sizes] @ of_sizes @ away[own & sizes])
-        occam = log_occam(cause.with_values(values), parameters, known, pool.settings.prior_scales)
+        scales = scales_of(pool.problem, cause, pool.settings.prior_scales)
+        occam = log_occam(cause.with_values(values), parameters, known, scales)
         odds[cause.name] = gained + occam + pool.log_prior(cause)
     return odds
 

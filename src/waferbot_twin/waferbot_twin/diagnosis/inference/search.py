@@ -48,10 +48,11 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     is_nothing,
     lets_go,
+    on_a_bound,
     parameters_of,
 )
 from waferbot_twin.estimation.separable import part_of
-from waferbot_twin.estimation.size_prior import log_prior
+from waferbot_twin.estimation.size_prior import log_prior, scales_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -206,7 +207,8 @@ def _log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -
         for place, cause in enumerate(hypothesis.causes):
             if cause.name not in both:
                 known = information_of(problem, hypothesis, place)
-                total += log_occam(cause, parameters_of(problem, cause), known, scales)
+                own_scales = scales_of(problem, cause, scales)
+                total += log_occam(cause, parameters_of(problem, cause), known, own_scales)
                 total += pool.log_prior(cause)
         return total
 
@@ -451,7 +453,7 @@ def _posterior(
     refitted = [
         one
         for one in refitted
-        if not _on_a_bound(problem, one.causes[-1]) and not is_nothing(problem, one.causes[-1])
+        if not on_a_bound(problem, one.causes[-1]) and not is_nothing(problem, one.causes[-1])
     ]
     members = [
         Member(
@@ -467,13 +469,3 @@ def _posterior(
 def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:
     """Return what the linear problem finds more probable than none in noise of known power."""
     return [item for item in screened if item.likelihood + pool.log_prior(item.cause) > 0.0]
-
-
-def _on_a_bound(problem: Problem, cause: Cause) -> bool:
-    """Return whether a size of a cause is as large as it can be: then it stands in for another one."""
-    return any(
-        cause.values[item.name] in (item.low, item.high)
-        and cause.values[item.name] != item.neutral
-        for item in parameters_of(problem, cause)
-        if not item.shape and item.spread == 0.0
-    )

@@ -47,6 +47,7 @@ from waferbot_twin.estimation.size_prior import (
     away_from_neutral,
     posterior_covariance,
     precision_at,
+    scales_of,
 )
 from waferbot_twin.estimation.stacked_least_squares import (
     Signature,
@@ -589,6 +590,7 @@ class _Linear:
                 }
             )
 
+        scales = scales_of(problem, rival, scales)
         occam = log_occam(at(found), seen, known, scales)
         for _ in range(ROUNDS):
             prior = precision_at(at(found), seen, scales)
