@@ -213,6 +213,19 @@ def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:
     )
 
 
+def test_where_a_described_controller_has_a_limit_effects_are_sized_by_that(random, motor) -> None:
+    controller = {
+        'kind': 'p', 'rate_hz': 1000, 'output': 'A', 'proportional_gain_per_rad': 4.0,
+        'output_limit': 20.0,
+    }  # fmt: skip
+    machine = {**motor.machine, 'controllers': {AXIS: controller}}
+    described = replace(motor, machine=machine)
+    sized = sized_by([record_of_measured_log(log_of(random), motor)], described)
+    per_ampere = places.force_per_ampere(described, AXIS)
+    assert places.rated_force(sized, AXIS) == pytest.approx(0.1 * 20.0 * per_ampere)
+    assert not sized.usual_current
+
+
 @pytest.mark.parametrize(
     ('name', 'by_log'),
     [('coulomb_friction', True), ('cogging', True), ('force_constant', False)],

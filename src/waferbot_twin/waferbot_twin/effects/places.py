@@ -208,6 +208,14 @@ def amperes_per_output(variant: Variant, axis: str) -> float:
     return controller.drive_gain / per_ampere
 
 
+def output_limit(variant: Variant, axis: str) -> float:
+    """Return the motor's current (A) at the limit of a described controller; infinite without one."""
+    controller = variant.base.description.controllers.get(axis)
+    if controller is None or not math.isfinite(controller.output_limit):
+        return math.inf
+    return controller.output_limit * amperes_per_output(variant, axis)
+
+
 def counts_per_unit(variant: Variant) -> np.ndarray:
     """Return the counts (3,) of each axis' position encoder per m or rad of the axis; 1 without one."""
     found = np.ones(len(AXES))
@@ -262,11 +270,16 @@ def peak_current(variant: Variant, axis: str) -> float:
     """
     Return the peak current of an axis' drive, A.
 
-    Of a drive of which nothing is known, that with which the logs' current would be the rated one.
+    Without a known amplifier that at which the output of a described controller ends. Of a drive of
+    which nothing is known, that with which the logs' current would be the rated one.
     """
     variant = variant.base
-    if not variant.copley.get(axis) and axis in variant.usual_current:
-        return variant.usual_current[axis] / RATED_SHARE
+    if not variant.copley.get(axis):
+        limit = output_limit(variant, axis)
+        if math.isfinite(limit):
+            return limit
+        if axis in variant.usual_current:
+            return variant.usual_current[axis] / RATED_SHARE
     return variant.amplifier_setting(axis, 'peak_current')
 
 

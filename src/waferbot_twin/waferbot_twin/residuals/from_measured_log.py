@@ -587,7 +587,7 @@ def _skew_text(found: Skew) -> str:
 
 def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     """
-    Return the variant with the usual currents of the logs, for axes without a known amplifier.
+    Return the variant with the usual currents of the logs, for axes of unknown drives.
 
     Effects are sized by what a drive can do (`places.rated_force`); where nobody says what that is,
     what it did has to tell. Where all logs have a force, nothing shows what windings do.
@@ -596,7 +596,8 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     for place, axis in enumerate(AXES):
         parts = [record.current[:, place] for record in records if record.current is not None]
         known = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else ()
-        if len(known) and not variant.copley.get(axis):
+        unlimited = math.isinf(places.output_limit(variant, axis))
+        if len(known) and not variant.copley.get(axis) and unlimited:
             usual[axis] = float(np.sqrt(np.mean(np.square(known))))
     by_force = set(variant.description.motors).intersection(
         *(record.force_driven for record in records)
