@@ -131,7 +131,7 @@ def test_the_second_of_a_pair_is_told_by_the_present_of_the_first():
     assert [one.deviation for one in found.colours] == pytest.approx([1.0, 0.1], rel=0.02)
 
 
-def test_a_colour_that_was_heard_is_taken_where_it_is_the_more_likely_one():
+def test_a_colour_that_is_known_is_taken_where_it_is_the_more_likely_one():
     """Of low order a process is found badly; another record of it has the right filter."""
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)

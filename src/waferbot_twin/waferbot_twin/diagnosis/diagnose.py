@@ -169,6 +169,7 @@ def diagnose(
     effects = [*offered_effects(problem, without), *tables(nominal, records), *dense]
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
+    problem = pool.problem
     to_estimate = Problem(nominal, estimation).with_prior(groups, settings.prior_scales)
     estimated = fitted_to(to_estimate, posterior.found.causes, workers)
     prediction = Prediction(

@@ -291,18 +291,18 @@ def reduced(parts: Sequence[Normal]) -> tuple[Array, Array]:
 
 
 def likelihood(
-    residuals: Sequence[Array], noises: Sequence[Noise], heard: Sequence[Colour] = ()
+    residuals: Sequence[Array], noises: Sequence[Noise], known: Sequence[Colour] = ()
 ) -> Fit:
     """
     Return how likely residuals (N,) are as they stand.
 
     Each channel, or both of one process, with the more likely one of the colour that is found in it and
-    of that which is `heard` already, in another model's residuals, with a deviation of its own: noise is
+    of that which is `known` already, in another model's residuals, with a deviation of its own: noise is
     the same whatever the model.
     """
     colours = _colours(residuals, noises)
-    if heard:
-        colours = _more_likely(residuals, noises, colours, heard)
+    if known:
+        colours = _more_likely(residuals, noises, colours, known)
     return _result(
         residuals, np.zeros(0), np.zeros((0, 0)), noises, colours, [False] * len(noises)
     )
@@ -312,14 +312,14 @@ def _more_likely(
     left: Sequence[Array],
     noises: Sequence[Noise],
     own: Sequence[Colour],
-    heard: Sequence[Colour],
+    known: Sequence[Colour],
 ) -> list[Colour]:
     rescaled = [
         replace(
             colour,
             deviation=max(math.sqrt(float(np.mean(colour.error(left, place) ** 2))), noise.floor),
         )
-        for place, (colour, noise) in enumerate(zip(heard, noises, strict=True))
+        for place, (colour, noise) in enumerate(zip(known, noises, strict=True))
     ]
     both = (own, rescaled)
     firsts = [min(place, place + noise.beside) for place, noise in enumerate(noises)]

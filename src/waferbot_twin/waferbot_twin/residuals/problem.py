@@ -130,7 +130,7 @@ class Problem:
         self.nominal = nominal
         self.records = tuple(records)
         self.size_scales: tuple[float, ...] = ()
-        self.heard: dict[str, tuple[Colour, ...]] = {}
+        self.known_noise: dict[str, tuple[Colour, ...]] = {}
         self._by_log: dict[tuple[str, str], bool] = {}
         usual = {axis: 2.0 * current for axis, current in nominal.usual_current.items()}
         self._twice = replace(nominal, usual_current=usual) if usual else nominal
@@ -243,7 +243,7 @@ class Problem:
     def with_coloured_forces(self) -> Problem:
         """Return the same problem with noise whose forces may have a colour: to refute causes."""
         other = copy.copy(self)
-        other.heard = {}
+        other.known_noise = {}
         coloured: list[BlockOfLog] = [part.with_coloured_forces() for part in self.plants]
         other.blocks = {**self.blocks, PLANT: coloured}
         return other
@@ -256,7 +256,7 @@ class Problem:
         wrong may be one that suits no residual.
         """
         other = copy.copy(self)
-        other.heard = {block: one.colours for block, one in fits.items() if block != PRIOR}
+        other.known_noise = {block: one.colours for block, one in fits.items() if block != PRIOR}
         return other
 
     def with_prior(self, groups: Sequence[Sequence[str]], scales: Sequence[float] = ()) -> Problem:
@@ -347,7 +347,7 @@ class Problem:
     def judge(self, residuals: Mapping[str, Sequence[Array]]) -> dict[str, Fit]:
         """Return how likely residuals are as they stand, block by block (`with_noise_of`)."""
         return {
-            block: likelihood(channels, self.noises(block), self.heard.get(block, ()))
+            block: likelihood(channels, self.noises(block), self.known_noise.get(block, ()))
             for block, channels in residuals.items()
             if channels
         }

@@ -55,7 +55,7 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
         names=['a'],
         workers=1,
         begin=lambda nothing: None,
-        hear=lambda found: None,
+        note_noise_of=lambda found: None,
     )
     found = search.infer(pool).found
     assert usual_were_there == asked

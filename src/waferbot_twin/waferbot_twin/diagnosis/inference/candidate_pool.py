@@ -152,7 +152,7 @@ class CandidatePool:
         found = signatures(self.problem, base, list(unknown.values()), self.workers, self.progress)
         self._changes |= zip(unknown, found, strict=True)
 
-    def hear(self, found: Hypothesis) -> None:
+    def note_noise_of(self, found: Hypothesis) -> None:
         """Let every model have the noise of this one, too."""
         self.problem = self.problem.with_noise_of(found.fits)
         self.refits.problem = self._rings.problem = self.problem

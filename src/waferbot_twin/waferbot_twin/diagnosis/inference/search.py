@@ -73,7 +73,7 @@ def infer(pool: CandidatePool) -> Posterior:
     """
     nothing = evaluate(pool.problem)
     pool.begin(nothing)
-    pool.hear(nothing)
+    pool.note_noise_of(nothing)
     found, effects = nothing, list[SingleEffect]()
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
@@ -162,7 +162,7 @@ def _ask_on(
         along |= {one.name for one in first}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
-        pool.hear(found)
+        pool.note_noise_of(found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
 
