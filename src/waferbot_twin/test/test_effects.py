@@ -524,3 +524,13 @@ def test_couplings_and_screws_have_play_like_gears(example, axis, unit):
     variant = apply_all(nominal, [Cause(effect, axis, {'gap': item.typical})])
     gaps = {part.gap for part in variant.description.connections.values()} - {0.0}
     assert gaps == {item.typical}
+
+
+@pytest.mark.parametrize(
+    ('example', 'axes'),
+    [('emps', ('y_linear',)), ('direct_drive_motor', ()), ('geared_pendulum', ())],
+)
+def test_the_scale_of_a_disc_is_exact(example, axes) -> None:
+    """After a turn it shows what it did before, so only a length can be measured too long."""
+    nominal = Variant.of(load_model_or_machine(example))
+    assert find('encoder_scale').axes(nominal) == axes

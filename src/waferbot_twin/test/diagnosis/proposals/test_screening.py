@@ -90,7 +90,7 @@ def test_a_soft_belt_promises_what_it_gains_in_the_size_that_is_tried():
     effect = find('belt_compliance')
     true = Cause(effect, 'y_rotate', effect.typical(nominal, 'y_rotate'))
     problem = log_of(nominal, true, 'random_y_rotate')
-    first = best_screened(problem, 'belt_compliance', 'coulomb_friction', 'encoder_scale')
+    first = best_screened(problem, 'belt_compliance', 'coulomb_friction', 'cogging')
     assert first.cause.name == true.name
     assert first.score > BEYOND_DOUBT
     assert gain(evaluate(problem, (first.cause,)), evaluate(problem)) > BEYOND_DOUBT
