@@ -110,7 +110,7 @@ def test_what_a_fit_has_brought_to_a_bound_goes(monkeypatch):
         '_linear_odds',
         lambda pool, found, out=(): {'one:x': 20.0, 'two:x': 90.0, 'three:x': 30.0},
     )
-    monkeypatch.setattr(elimination, '_odds_beside', odds_beside)
+    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
     monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
     pool = SimpleNamespace(**vars(POOL), workers=1)
     causes = (every[0], at_bound, every[1])
@@ -135,7 +135,7 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch)
 
     monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
     monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
-    monkeypatch.setattr(elimination, '_odds_beside', odds_beside)
+    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
     monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
     pool = SimpleNamespace(**vars(POOL), workers=1)
     one, two, three, four = (effect_of(cause) for cause in every)
@@ -173,15 +173,36 @@ def test_a_second_fit_is_made_where_it_may_change_the_answer(
     monkeypatch.setattr(elimination, 'without', without)
     monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
     monkeypatch.setattr(elimination, 'gain', lambda one, other: gained)
-    monkeypatch.setattr(elimination, 'log_evidence', lambda p, more, fewer, s: evidence[fewer])
+    monkeypatch.setattr(
+        elimination, 'log_evidence', lambda p, more, fewer, s, gained: evidence[fewer]
+    )
     pool = SimpleNamespace(
         **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
     )
-    value, base = elimination._odds_beside(pool, found, 'one:x')
+    value, base = elimination.odds_beside(pool, found, 'one:x')
     assert value == odds
     assert len(made) == fits
     assert made[0].keys() == {cause.name for cause in found.causes}
     assert base == ('with its own' if fits > 1 else 'with known signatures')
+
+
+def test_the_odds_by_parts_of_the_logs_have_the_gain_of_the_parts(monkeypatch):
+    found = least_squares(np.eye(4), np.ones(4), NAMES)
+    monkeypatch.setattr(elimination, 'without', lambda *arguments: 'base')
+    monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'base')
+    monkeypatch.setattr(
+        elimination, 'gain', lambda one, other, parts=False: 0.0 if one == other else 9.0 - parts
+    )
+    monkeypatch.setattr(
+        elimination,
+        'log_evidence',
+        lambda p, more, fewer, s, gained: 20.0 if gained is None else gained,
+    )
+    pool = SimpleNamespace(
+        **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
+    )
+    assert elimination.odds_beside(pool, found, 'one:x')[0] == 17.0
+    assert elimination.odds_beside(pool, found, 'one:x', parts=True)[0] == 5.0
 
 
 def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):

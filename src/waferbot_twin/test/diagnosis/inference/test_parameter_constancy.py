@@ -47,31 +47,21 @@ def pool(monkeypatch):
             raise UserError('blows up')
         return name
 
-    def without(problem, found, names, workers):
-        refitted.extend(names)
-        return names[0]
-
     def gain(more, base, parts=False):
         return (BY_PARTS if parts else GAINS)[base.split(':')[0]]
 
-    def log_evidence(problem, more, base, scales, gained):
-        return gained + OCCAM
+    def odds_beside(pool, found, name, parts=False):
+        refitted.append(name)
+        return (BY_PARTS if parts else GAINS)[name.split(':')[0]] + OCCAM + PRIOR, None
 
     def last(problem, found, name):
         return SimpleNamespace(causes=(cause(name.split(':')[0]),))
 
     monkeypatch.setattr(parameter_constancy, 'without_by_linear', without_by_linear)
-    monkeypatch.setattr(parameter_constancy, 'without', without)
     monkeypatch.setattr(parameter_constancy, 'gain', gain)
-    monkeypatch.setattr(parameter_constancy, 'log_evidence', log_evidence)
+    monkeypatch.setattr(parameter_constancy, 'odds_beside', odds_beside)
     monkeypatch.setattr(parameter_constancy, 'with_last', last)
-    return SimpleNamespace(
-        problem=None,
-        workers=1,
-        settings=Settings(),
-        log_prior=lambda one: PRIOR,
-        refitted=refitted,
-    )
+    return SimpleNamespace(problem=None, settings=Settings(), refitted=refitted)
 
 
 def inclusions(found):

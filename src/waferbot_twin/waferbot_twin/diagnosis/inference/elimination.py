@@ -60,7 +60,7 @@ def evident(
         by_linear = _linear_odds(pool, found)
         on_bounds = {one.name for one in found.causes if on_a_bound(pool.problem, one)}
         name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
-        odds, base = _odds_beside(pool, found, name)
+        odds, base = odds_beside(pool, found, name)
         open_ones.discard(name)
         if odds > log_odds_at(pool.settings.included_from) and name not in on_bounds:
             odds_of[name] = odds
@@ -80,23 +80,31 @@ def evident(
     ]
 
 
-def _odds_beside(pool: CandidatePool, found: Hypothesis, name: str) -> tuple[float, Hypothesis]:
+def odds_beside(
+    pool: CandidatePool, found: Hypothesis, name: str, parts: bool = False
+) -> tuple[float, Hypothesis]:
     """
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
     simulations. Another one with its own could only lower the odds. It is not made where they are too
-    low already, nor where as much again as the first one gained would not make them so.
+    low already, nor where as much again as the first one gained would not make them so. With `parts` by
+    what parts of the logs agree on (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
     prior = pool.log_prior(more.causes[-1])
+
+    def odds_against(base: Hypothesis) -> float:
+        gained = gain(more, base, parts=True) if parts else None
+        return log_evidence(problem, more, base, scales, gained) + prior
+
     names = [cause.name for cause in found.causes]
     signatures = dict(zip(names, pool.signatures_of(found), strict=True))
     try:
         begun = without_by_linear(problem, found, name)
         base = without(problem, found, [name], pool.workers, signatures)
-        odds = log_evidence(problem, more, base, scales) + prior
+        odds = odds_against(base)
         again = max(gain(base, begun), 0.0)
         limit = log_odds_at(pool.settings.included_from)
         if odds <= limit or odds - again > limit:
@@ -104,7 +112,7 @@ def _odds_beside(pool: CandidatePool, found: Hypothesis, name: str) -> tuple[flo
     except UserError:  # the machine does not stand where that begins
         pass
     base = without(problem, found, [name], pool.workers)
-    return log_evidence(problem, more, base, scales) + prior, base
+    return odds_against(base), base
 
 
 def _without_some(

@@ -16,12 +16,12 @@ from dataclasses import replace
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
+from waferbot_twin.diagnosis.inference.elimination import log_odds_at, odds_beside
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
-from waferbot_twin.diagnosis.inference.refit import with_last, without
+from waferbot_twin.diagnosis.inference.refit import with_last
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear
-from waferbot_twin.estimation.evidence import gain, log_evidence
+from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis
 
 
@@ -50,11 +50,8 @@ def _judged(
         base = without_by_linear(problem, found, name)
         if gain(more, base, parts=True) == gain(more, base):
             return effect
-        base = without(problem, found, [name], pool.workers)
+        odds, _ = odds_beside(pool, found, name, parts=True)
     except UserError:  # the machine does not stand without it
         return effect
-    gained = gain(more, base, parts=True)
-    evidence = log_evidence(problem, more, base, pool.settings.prior_scales, gained)
-    odds = evidence + pool.log_prior(more.causes[-1])
     limits = log_odds_at(pool.settings.included_from), log_odds_at(effect.inclusion)
     return with_odds(effect, min(max(odds, limits[0]), limits[1]))
