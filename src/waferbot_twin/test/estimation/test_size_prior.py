@@ -99,7 +99,10 @@ def test_the_density_is_a_mixture_of_normal_ones(one, factor, by_log):
     """With wider ones where the typical size follows from currents that may be next to none."""
     scales = (*SCALES, 30.0, 100.0) if by_log else SCALES
     problem = SimpleNamespace(
-        nominal=None, size_scales=SCALES, sized_by_log=lambda effect, axis: by_log
+        nominal=None,
+        size_scales=SCALES,
+        unrated_scales=(30.0, 100.0),
+        sized_by_log=lambda effect, axis: by_log,
     )
 
     def density(sizes):

@@ -165,12 +165,13 @@ def diagnose(
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
     groups = prior_groups(numbers)
-    problem = Problem(nominal, records).with_prior(groups, settings.prior_scales)
+    scales = settings.prior_scales, settings.unrated_scales
+    problem = Problem(nominal, records).with_prior(groups, *scales)
     effects = [*offered_effects(problem, without), *tables(nominal, records), *dense]
     pool = CandidatePool(problem, effects, settings, progress, workers)
     posterior = infer(pool)
     problem = pool.problem
-    to_estimate = Problem(nominal, estimation).with_prior(groups, settings.prior_scales)
+    to_estimate = Problem(nominal, estimation).with_prior(groups, *scales)
     estimated = fitted_to(to_estimate, posterior.found.causes, workers)
     prediction = Prediction(
         (problem, posterior.found), (to_estimate, estimated), settings, workers

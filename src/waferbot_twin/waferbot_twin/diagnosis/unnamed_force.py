@@ -40,7 +40,9 @@ def gains_with_it(diagnosis: Diagnosis) -> list[AxisGain]:
     ]
     count = len(diagnosis.estimation)
     estimation = Problem(nominal, records[:count])
-    fitted = fitted_to(estimation.with_prior(usual, diagnosis.settings.prior_scales), causes)
+    settings = diagnosis.settings
+    scales = settings.prior_scales, settings.unrated_scales
+    fitted = fitted_to(estimation.with_prior(usual, *scales), causes)
     try:
         return gains(nominal, apply_all(nominal, fitted.causes), records[count:])
     except UserError:

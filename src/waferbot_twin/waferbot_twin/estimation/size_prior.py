@@ -37,18 +37,16 @@ LARGEST = 1e12
 """Most that is known of anything, over the least that is: the rest is rounding, not knowledge."""
 
 
-FURTHER = (30.0, 100.0)
-"""
-Scales beside those of an effect whose typical size follows from the currents of a log.
-
-A drive that carries next to nothing has a hundredth of its rated current.
-"""
-
-
 def scales_of(problem: Problem, cause: Cause, scales: Sequence[float]) -> tuple[float, ...]:
-    """Return the scales of the prior of a cause's sizes, of those of what has a rating."""
-    by_log = bool(scales) and problem.sized_by_log(cause.effect, cause.axis)
-    return (*scales, *(FURTHER if by_log else ()))
+    """
+    Return the scales of the prior of a cause's sizes, of those that hold where a drive has a rating.
+
+    A drive that carries next to nothing has a hundredth of its rated current: a size that follows from
+    the currents of a log may be as much too small.
+    """
+    if scales and problem.sized_by_log(cause.effect, cause.axis):
+        return (*scales, *problem.unrated_scales)
+    return tuple(scales)
 
 
 def log_prior(problem: Problem, causes: Sequence[Cause]) -> float:

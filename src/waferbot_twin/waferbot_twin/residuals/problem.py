@@ -130,6 +130,7 @@ class Problem:
         self.nominal = nominal
         self.records = tuple(records)
         self.size_scales: tuple[float, ...] = ()
+        self.unrated_scales: tuple[float, ...] = ()
         self.known_noise: dict[str, tuple[Colour, ...]] = {}
         self._by_log: dict[tuple[str, str], bool] = {}
         usual = {axis: 2.0 * current for axis, current in nominal.usual_current.items()}
@@ -259,14 +260,20 @@ class Problem:
         other.known_noise = {block: one.colours for block, one in fits.items() if block != PRIOR}
         return other
 
-    def with_prior(self, groups: Sequence[Sequence[str]], scales: Sequence[float] = ()) -> Problem:
+    def with_prior(
+        self,
+        groups: Sequence[Sequence[str]],
+        scales: Sequence[float] = (),
+        unrated: Sequence[float] = (),
+    ) -> Problem:
         """
         Return the same problem with the prior of groups of parameters that have a usual spread.
 
-        And with that of the sizes of all effects, of so many `scales` (`estimation.size_prior`).
+        And with that of the sizes of all effects, of so many `scales`, and `unrated` ones besides where
+        a log has to tell what is usual (`estimation.size_prior`).
         """
         other = copy.copy(self)
-        other.size_scales = tuple(scales)
+        other.size_scales, other.unrated_scales = tuple(scales), tuple(unrated)
         if groups:
             priors: list[BlockOfLog] = [PriorBlock(self.records[0], names) for names in groups]
             other.blocks = {**self.blocks, PRIOR: priors}

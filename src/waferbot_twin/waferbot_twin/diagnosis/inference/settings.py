@@ -21,6 +21,8 @@ class Settings:
                        prior probability expected_causes / number of candidates
     prior_scales       standard deviations of an effect's size, in its typical size; each equally
                        probable (a normal scale mixture: heavy tails, much mass near zero)
+    unrated_scales     further ones where nobody says what a drive can do, so that the typical size
+                       follows from the currents of the logs
     spread_of_masses, spread_of_force_constants, spread_of_frictions
                        standard deviations, as shares, by which every machine's parameters differ from
                        its model's (`nuisance`)
@@ -46,6 +48,7 @@ class Settings:
 
     expected_causes: float = 1.0
     prior_scales: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0, 10.0)
+    unrated_scales: tuple[float, ...] = (30.0, 100.0)
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03
     spread_of_frictions: float = 0.1
@@ -79,8 +82,11 @@ class Settings:
                 f'named_from is {self.named_from}, less than included_from, {self.included_from}; '
                 'what is named must be in the model'
             )
-        if self.expected_causes <= 0.0 or not all(scale > 0.0 for scale in self.prior_scales):
-            raise UserError('expected_causes and prior_scales must be greater than 0')
+        scales = (*self.prior_scales, *self.unrated_scales)
+        if self.expected_causes <= 0.0 or not all(scale > 0.0 for scale in scales):
+            raise UserError(
+                'expected_causes, prior_scales and unrated_scales must be greater than 0'
+            )
         if self.tolerated_loss < 0.0:
             raise UserError(f'tolerated_loss is {self.tolerated_loss}; it must not be negative')
         if min(self.most_causes, self.most_refits, self.most_asked) < 1:
