@@ -93,6 +93,27 @@ def effect_of(cause):
     return SingleEffect((Member(found, 0.0, -3.0, 1.0),), 0.0)
 
 
+def test_what_is_not_evident_is_asked_though_the_linear_problem_was_wrong_of_another(monkeypatch):
+    """What it takes for the least evident gains 73 in ln odds; that says nothing of the next one."""
+    every = tuple(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES[:3])
+    by_linear = {'one:x': -9.0, 'two:x': -4.0, 'three:x': 40.0}
+    by_logs = {'one:x': 73.0, 'two:x': -2.0}
+
+    def odds_beside(pool, found, name):
+        kept = tuple(cause for cause in found.causes if cause.name != name)
+        return by_logs[name], SimpleNamespace(causes=kept)
+
+    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
+    monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
+    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
+    monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
+    pool = SimpleNamespace(**vars(POOL), workers=1)
+    effects = [effect_of(cause) for cause in every]
+    found, left = elimination.evident(pool, SimpleNamespace(causes=every), effects)
+    assert [cause.name for cause in found.causes] == ['one:x', 'three:x']
+    assert [effect.best.cause.name for effect in left] == ['one:x', 'three:x']
+
+
 def test_what_a_fit_has_brought_to_a_bound_goes(monkeypatch):
     """However much it gains: it is as large as it can be, so it stands in for something else."""
     at_bound = Cause(Term('two'), 'x', {'value': 100.0})

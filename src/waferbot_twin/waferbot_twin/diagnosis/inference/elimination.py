@@ -40,15 +40,17 @@ def evident(
     Return a hypothesis without those effects that are not evident beside all others.
 
     Backward elimination: the one that the linear problem finds least evident goes first, the rest is
-    fitted anew without it. Where the logs then want it back, those that were asked for before are
-    evident, too, with these odds at least: their own may be from beside other causes. What came along
-    (`tentative`) was never asked for: each of these has to be wanted back itself. One that a fit has
-    brought to a bound of what is possible goes, whatever it does: it stands in for another one.
+    fitted anew without it. Where the logs then want it back, those that were asked for before and are
+    evident in the linear problem are so with these odds at least: their own may be from beside other
+    causes. All others have to be wanted back themselves, as the linear problem was wrong of one; so has
+    what came along (`tentative`), which was never asked for. One that a fit has brought to a bound of
+    what is possible goes, whatever it does: it stands in for another one.
     """
     left = [*effects, *tentative]
     # About other values than the best a fit without a cause gains what was not yet gained with it.
     found = to_the_end(pool.problem, found, pool.workers) if left else found
     open_ones = {one.best.cause.name for one in left}
+    limit = log_odds_at(pool.settings.included_from)
     odds_of: dict[str, float] = {}
     while open_ones:
         again = _without_some(pool, found, sorted(open_ones))
@@ -62,9 +64,10 @@ def evident(
         name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
         odds, base = odds_beside(pool, found, name)
         open_ones.discard(name)
-        if odds > log_odds_at(pool.settings.included_from) and name not in on_bounds:
+        if odds > limit and name not in on_bounds:
             odds_of[name] = odds
-            asked = open_ones - {one.best.cause.name for one in tentative}
+            asked = {one for one in open_ones if by_linear[one] > limit}
+            asked -= {one.best.cause.name for one in tentative}
             odds_of |= {
                 one.best.cause.name: max(odds, float(logit(one.inclusion)))
                 for one in left
