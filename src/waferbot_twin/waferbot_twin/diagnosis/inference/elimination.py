@@ -91,8 +91,8 @@ def odds_beside(
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
     simulations. Another one with its own could only lower the odds. It is not made where they are too
-    low already, nor where as much again as the first one gained would not make them so. With `parts` by
-    what parts of the logs agree on (`estimation.evidence.gain`).
+    low for the model already, nor where as much again as the first one gained would not make them too
+    low for a name. With `parts` by what parts of the logs agree on (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
@@ -109,8 +109,9 @@ def odds_beside(
         base = without(problem, found, [name], pool.workers, signatures)
         odds = odds_against(base)
         again = max(gain(base, begun), 0.0)
-        limit = log_odds_at(pool.settings.included_from)
-        if odds <= limit or odds - again > limit:
+        if odds <= log_odds_at(pool.settings.included_from):
+            return odds, base
+        if odds - again > log_odds_at(pool.settings.named_from):
             return odds, base
     except UserError:  # the machine does not stand where that begins
         pass
