@@ -202,7 +202,7 @@ class LinearProblem(Problem):
 
     def __init__(self, nominal, matrix, measured):
         self.nominal, self._matrix, self._measured = nominal, matrix, measured
-        self.records = ()
+        self.records, self.known_noise = (), {}
         self.blocks = {PLANT: [self]}
         self.channels = ['y']
 
