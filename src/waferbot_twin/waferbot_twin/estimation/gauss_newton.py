@@ -141,7 +141,7 @@ def fit_causes(
         if better is None and fresh and not roughly and _promised(linear) > PROMISES:
             sound = _sound(problem, now, names, linear)
             better, reach = _step(problem, now, names, sound, first)
-        gain = 0.0 if better is None else _log_ratio(problem, better, now)
+        gain = 0.0 if better is None else log_posterior_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
         # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
@@ -273,10 +273,10 @@ def _if_better(
         tried = evaluate(problem, moved(now.causes, names, change))
     except UserError:
         return None
-    return tried if _log_ratio(problem, tried, now) > 0.0 else None
+    return tried if log_posterior_ratio(problem, tried, now) > 0.0 else None
 
 
-def _log_ratio(problem: Problem, this: Hypothesis, other: Hypothesis) -> float:
+def log_posterior_ratio(problem: Problem, this: Hypothesis, other: Hypothesis) -> float:
     """Return ln of the ratio of likelihood times prior of two hypotheses with the same causes."""
     prior = log_prior(problem, this.causes) - log_prior(problem, other.causes)
     return log_likelihood_ratio(this, other) + prior
@@ -304,7 +304,7 @@ def _sound(problem: Problem, now: Hypothesis, names: Names, linear: Linear) -> L
             )
         except UserError:
             continue
-        sound |= own & (_log_ratio(problem, tried, now) >= 0.0)
+        sound |= own & (log_posterior_ratio(problem, tried, now) >= 0.0)
     return _only(linear, sound)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import replace
 
@@ -18,7 +19,7 @@ from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
 from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
 from waferbot_twin.estimation.gauss_newton import ROUNDS as TO_CONVERGENCE
-from waferbot_twin.estimation.gauss_newton import fit_causes, moved, names_of
+from waferbot_twin.estimation.gauss_newton import fit_causes, log_posterior_ratio, moved, names_of
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -118,6 +119,43 @@ def fitted_on(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothes
 def to_the_end(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothesis:
     """Return a hypothesis fitted to the end; as it is if that blows up."""
     return fitted(problem, found.causes, workers, TO_THE_END) or found
+
+
+def begun_elsewhere(
+    problem: Problem,
+    found: Hypothesis,
+    trials: Sequence[Cause],
+    known: Mapping[str, Signature],
+    workers: int = 1,
+) -> Hypothesis:
+    """
+    Return a hypothesis with one of its causes begun at one of some `trials`, if that is more probable.
+
+    What a cause changes in a ring is its phase, so the likelihood over its size has many maxima; which
+    of them is the highest depends on what else is known by then. With the signatures of `found` by name
+    (`known`) such a fit costs few simulations; the best is fitted to the end.
+    """
+    pool = Parallel(n_jobs=workers if len(trials) > 1 else 1)
+    begun = pool(delayed(_begun_at)(problem, found.causes, trial, known) for trial in trials)
+    ratios = [
+        -math.inf if one is None else log_posterior_ratio(problem, one, found) for one in begun
+    ]
+    if max(ratios, default=0.0) <= ENOUGH:
+        return found
+    best = begun[int(np.argmax(ratios))]
+    assert best is not None
+    return to_the_end(problem, best, workers)
+
+
+def _begun_at(
+    problem: Problem, causes: Sequence[Cause], trial: Cause, known: Mapping[str, Signature]
+) -> Hypothesis | None:
+    """Return causes fitted from where one of them is as in a trial; None if the machine does not stand."""
+    started = tuple(trial if cause.name == trial.name else cause for cause in causes)
+    try:
+        return fitted_apart(problem, started, 1, ENOUGH, known, ROUNDS)
+    except UserError:
+        return None
 
 
 def without(

@@ -15,6 +15,7 @@ noise is taken out (`instrument`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
+    begun_elsewhere,
     fitted,
     fitted_on,
     to_the_end,
@@ -40,7 +42,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     posterior_of,
     with_odds,
 )
-from waferbot_twin.diagnosis.proposals.screening import Screened, untempered
+from waferbot_twin.diagnosis.proposals.screening import Screened, at_its_sizes, untempered
 from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.hypothesis import (
@@ -163,8 +165,21 @@ def _ask_on(
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
         pool.note_noise_of(found)
+    found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
+
+
+def _begun_elsewhere(pool: CandidatePool, found: Hypothesis) -> Hypothesis:
+    """Return a hypothesis with each cause that rings at the most probable size it is tried at."""
+    names = [cause.name for cause in found.causes]
+    for cause in found.causes:
+        if not cause.effect.rings:
+            continue
+        trials = list(at_its_sizes(parameters_of(pool.problem, cause), replace(cause, narrow=())))
+        known = dict(zip(names, pool.signatures_of(found), strict=True))
+        found = begun_elsewhere(pool.problem, found, trials, known, pool.workers)
+    return found
 
 
 def _by_names(

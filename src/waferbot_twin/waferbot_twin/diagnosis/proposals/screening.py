@@ -148,7 +148,7 @@ def candidates(
                     continue
                 sized = any(not item.shape and item.name in trial for item in parameters)
                 found += rungs(problem, cause) if effect.threshold and not sized else [cause]
-                found += _tried(parameters, cause)
+                found += at_its_sizes(parameters, cause)
     return found
 
 
@@ -158,7 +158,7 @@ def indistinct_axes(effect: Effect, variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in effect.axes(variant) if axis not in distinct)
 
 
-def _tried(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
+def at_its_sizes(parameters: Sequence[Parameter], cause: Cause) -> Iterator[Cause]:
     """Give an effect that the model has none of in the sizes at which it is tried."""
     for times in cause.effect.tried_at:
         values = {
