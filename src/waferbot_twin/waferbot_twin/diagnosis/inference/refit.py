@@ -150,7 +150,7 @@ def begun_elsewhere(
 def _begun_at(
     problem: Problem, causes: Sequence[Cause], trial: Cause, known: Mapping[str, Signature]
 ) -> Hypothesis | None:
-    """Return causes fitted from where one of them is as in a trial; None if the machine does not stand."""
+    """Return causes fitted from where one is as in a trial; None if the machine does not stand there."""
     started = tuple(trial if cause.name == trial.name else cause for cause in causes)
     try:
         return fitted_apart(problem, started, 1, ENOUGH, known, ROUNDS)
