@@ -11,6 +11,7 @@ from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.inference import refit
 from waferbot_twin.diagnosis.inference.nuisance import each_once, nuisance, prior_groups
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.proposals.screening import at_its_sizes
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import all_signatures
@@ -63,3 +64,38 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     (left,) = refit.without(problem, found, [cause.name], 1, known).causes
     assert left.held == ()
     assert rounds == [(not frees, refit.TO_CONVERGENCE if frees else refit.ROUNDS)]
+
+
+@pytest.mark.parametrize(('true', 'start'), [(0.3, 3.0), (1.0, 10.0), (3.0, 0.3)])
+def test_what_rings_is_found_from_a_wrong_maximum(true, start):
+    """Sizes in typical ones: a fit from `start` ends where the ring is in step with the true one."""
+    nominal, timing = Variant.of(load_model('rigid')), Timing()
+    effect = find('cable_compliance')
+    (parameter,) = effect.parameters(nominal, 'y_linear')
+
+    def cause(times):
+        return Cause(effect, 'y_linear', {'compliance': times * parameter.typical})
+
+    def size(hypothesis):
+        return hypothesis.causes[0].values['compliance'] / parameter.typical
+
+    commanded = commanded_positions(
+        load_experiment('random_y_linear'),
+        servo_parameters(nominal.pmac, nominal.name),
+        timing.servo_hz,
+    )
+    real = effect.apply(nominal, 'y_linear', cause(true).values)
+    signals = run_commanded(real, timing, commanded, timing.ticks(0.6))
+    problem = Problem(nominal, [record_of_signals('log', signals)])
+    found = refit.fitted(problem, (cause(start),))
+    assert abs(size(found) / true - 1.0) > 0.2
+    known = dict(
+        zip([one.name for one in found.causes], all_signatures(problem, found), strict=True)
+    )
+    (stuck,) = found.causes
+    trials = list(at_its_sizes(effect.parameters(nominal, 'y_linear'), stuck))
+    better = refit.begun_elsewhere(problem, found, trials, known)
+    assert size(better) == pytest.approx(true, rel=0.01)
+    assert better.log_likelihood > found.log_likelihood + 100.0
+    again = refit.begun_elsewhere(problem, better, trials, known)
+    assert size(again) == pytest.approx(true, rel=0.01)
