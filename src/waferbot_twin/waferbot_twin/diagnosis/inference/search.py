@@ -2,14 +2,14 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`settings`); what is not evident beside all
-that was found goes again (`elimination`). Then each is asked for anew beside all others, as often as one
-changes: an early choice is revised when the others are known. Where one of those that were asked for has
-gone, what it stood for may still lack: more are added, and so on (stepwise selection). The posterior of
-each is that of `single_effects`, from fits through the simulation for every candidate that the linear
-problem puts within reach (`refit`). What no physical cause explains competes with them: forces over
-speed and position of an axis without a name (`discrepancy`). Last, what the closed loop has made of
-noise is taken out (`instrument`).
+Effects are added as long as one is more probable than not (`settings`). What rings is then begun at
+other sizes, too; what is not evident beside all that was found goes again (`elimination`). Then each is
+asked for anew beside all others, as often as one changes: an early choice is revised when the others are
+known. Where one of those that were asked for has gone, what it stood for may still lack: more are added,
+and so on (stepwise selection). The posterior of each is that of `single_effects`, from fits through the
+simulation for every candidate that the linear problem puts within reach (`refit`). What no physical
+cause explains competes with them: forces over speed and position of an axis without a name
+(`discrepancy`). Last, what the closed loop has made of noise is taken out (`instrument`).
 """
 
 from __future__ import annotations
