@@ -93,79 +93,63 @@ def effect_of(cause):
     return SingleEffect((Member(found, 0.0, -3.0, 1.0),), 0.0)
 
 
-def test_what_is_not_evident_is_asked_though_the_linear_problem_was_wrong_of_another(monkeypatch):
+@pytest.fixture
+def judged(monkeypatch):
+    """Return a function that eliminates causes by hand-made odds; and what it gave, what was asked."""
+
+    def eliminated(causes, by_linear, by_logs, effects, tentative=()):
+        asked = []
+
+        def odds_beside(pool, found, name):
+            asked.append(name)
+            kept = tuple(cause for cause in found.causes if cause.name != name)
+            return by_logs[name], SimpleNamespace(causes=kept)
+
+        monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
+        monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
+        monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
+        monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
+        pool = SimpleNamespace(**vars(POOL), workers=1)
+        found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects, tentative)
+        return [cause.name for cause in found.causes], left, asked
+
+    return eliminated
+
+
+def names_of(effects):
+    return [effect.best.cause.name for effect in effects]
+
+
+def test_what_is_not_evident_is_asked_though_the_linear_problem_was_wrong_of_another(judged):
     """What it takes for the least evident gains 73 in ln odds; that says nothing of the next one."""
     every = tuple(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES[:3])
     by_linear = {'one:x': -9.0, 'two:x': -4.0, 'three:x': 40.0}
     by_logs = {'one:x': 73.0, 'two:x': -2.0}
-
-    def odds_beside(pool, found, name):
-        kept = tuple(cause for cause in found.causes if cause.name != name)
-        return by_logs[name], SimpleNamespace(causes=kept)
-
-    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
-    monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
-    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
-    monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
-    pool = SimpleNamespace(**vars(POOL), workers=1)
-    effects = [effect_of(cause) for cause in every]
-    found, left = elimination.evident(pool, SimpleNamespace(causes=every), effects)
-    assert [cause.name for cause in found.causes] == ['one:x', 'three:x']
-    assert [effect.best.cause.name for effect in left] == ['one:x', 'three:x']
+    found, left, _ = judged(every, by_linear, by_logs, [effect_of(cause) for cause in every])
+    assert found == names_of(left) == ['one:x', 'three:x']
 
 
-def test_what_a_fit_has_brought_to_a_bound_goes(monkeypatch):
+def test_what_a_fit_has_brought_to_a_bound_goes(judged):
     """However much it gains: it is as large as it can be, so it stands in for something else."""
-    at_bound = Cause(Term('two'), 'x', {'value': 100.0})
-    every = [Cause(Term(name), 'x', {'value': 1.0}) for name in ('one', 'three')]
-    asked = []
-
-    def odds_beside(pool, found, name):
-        asked.append(name)
-        kept = tuple(cause for cause in found.causes if cause.name != name)
-        return 50.0, SimpleNamespace(causes=kept)
-
-    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
-    monkeypatch.setattr(
-        elimination,
-        '_linear_odds',
-        lambda pool, found, out=(): {'one:x': 20.0, 'two:x': 90.0, 'three:x': 30.0},
-    )
-    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
-    monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
-    pool = SimpleNamespace(**vars(POOL), workers=1)
-    causes = (every[0], at_bound, every[1])
-    effects = [effect_of(cause) for cause in causes]
-    found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects)
-    assert [cause.name for cause in found.causes] == ['one:x', 'three:x']
-    assert [effect.best.cause.name for effect in left] == ['one:x', 'three:x']
+    values = {'one': 1.0, 'two': 100.0, 'three': 1.0}
+    causes = tuple(Cause(Term(name), 'x', {'value': value}) for name, value in values.items())
+    by_linear = {'one:x': 20.0, 'two:x': 90.0, 'three:x': 30.0}
+    by_logs = dict.fromkeys(by_linear, 50.0)
+    found, left, asked = judged(causes, by_linear, by_logs, [effect_of(cause) for cause in causes])
+    assert found == names_of(left) == ['one:x', 'three:x']
     assert asked == ['two:x', 'one:x']
 
 
-def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(monkeypatch):
+def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(judged):
     """The linear problem is wrong of what was asked for, so it is not relied on for the others."""
     every = tuple(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES)
     by_linear = {'one:x': -9.0, 'two:x': 50.0, 'three:x': 60.0, 'four:x': 40.0}
     by_logs = {'one:x': 12.0, 'two:x': 17.0, 'three:x': -8.0, 'four:x': 96.0}
-    asked = []
-
-    def odds_beside(pool, found, name):
-        asked.append(name)
-        kept = tuple(cause for cause in found.causes if cause.name != name)
-        return by_logs[name], SimpleNamespace(causes=kept)
-
-    monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
-    monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
-    monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
-    monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
-    pool = SimpleNamespace(**vars(POOL), workers=1)
     one, two, three, four = (effect_of(cause) for cause in every)
     four = replace(four, none=0.3)
-    found, left = elimination.evident(
-        pool, SimpleNamespace(causes=every), [one, four], [two, three]
-    )
-    assert [effect.best.cause.name for effect in left] == ['one:x', 'four:x', 'two:x']
-    assert [cause.name for cause in found.causes] == ['one:x', 'two:x', 'four:x']
+    found, left, asked = judged(every, by_linear, by_logs, [one, four], [two, three])
+    assert names_of(left) == ['one:x', 'four:x', 'two:x']
+    assert found == ['one:x', 'two:x', 'four:x']
     assert asked == ['one:x', 'two:x', 'three:x']  # least evident first, four was asked for before
     assert left[0].inclusion == pytest.approx(1.0 / (1.0 + np.exp(-12.0)))
     assert left[1].inclusion == pytest.approx(left[0].inclusion)  # more evident than the first
