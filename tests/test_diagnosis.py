@@ -32,7 +32,7 @@ HIDDEN = (
 )
 SEED = 33
 
-pytestmark = pytest.mark.long(200)
+pytestmark = [pytest.mark.long(200), pytest.mark.timeout(3600)]
 
 
 @pytest.fixture
