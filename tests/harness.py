@@ -32,7 +32,7 @@ ASK_AGAIN_S = 5.0
 """Wall time after which a client sends its request again."""
 
 LONG_PATIENCE_S = 3000.0
-"""The same for a command that works for long, as a diagnosis does: beside ten others, 800 s were too few."""
+"""The same for a command that works for long, as a diagnosis does; 800 s were too few beside others."""
 
 
 _LIBC = ctypes.CDLL(None)
