@@ -72,6 +72,22 @@ def test_a_domain_in_use_is_refused_with_what_to_do():
         assert result.stderr.count('\n') == 1
 
 
+def test_a_domain_that_a_node_is_in_is_taken_only_if_it_is_asked_for(connect):
+    """As of a foreign node that stays after its twin, and would speak of its last tick."""
+    claims = [Domain()]
+    number = claims[0].number
+    connect(number)
+    claims.pop().release()
+    try:
+        claims.append(Domain())
+        assert claims[0].number != number
+        claims.append(Domain(number))
+        assert claims[1].number == number
+    finally:
+        for claim in claims:
+            claim.release()
+
+
 def test_a_domain_asked_for_is_taken_and_free_again_afterwards():
     free = Domain()
     number = free.number

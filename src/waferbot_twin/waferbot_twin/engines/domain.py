@@ -2,10 +2,12 @@
 """
 A ROS domain for each twin, so that two twins on one machine do not hear each other.
 
-A twin takes the first domain that no other twin has. The claim is the name of a socket that no file
-belongs to (Linux: the abstract namespace of Unix sockets). The system releases it when the process
-ends, however it ends; it counts for all users and, as domains do, for one network namespace. A domain
-that the user names (option or ROS_DOMAIN_ID) is taken as it is, but not twice.
+A twin takes the first domain that no other twin has and no ROS node of this machine is in: a node of
+somebody else's stays for seconds after its twin has ended, and would speak to the next one of old ticks.
+The claim is the name of a socket that no file belongs to (Linux: the abstract namespace of Unix
+sockets). The system releases it when the process ends, however it ends; it counts for all users and, as
+domains do, for one network namespace. A domain that the user names (option or ROS_DOMAIN_ID) is taken as
+it is, with whoever is in it, but not twice.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ LAST_DOMAIN = 101
 HIGHEST_DOMAIN = 232
 """Above it the UDP ports of the domain would not be port numbers any more."""
 
+PARTICIPANTS = 32
+"""How many participants of a domain look for one another on a machine by unicast (docs/contract.md)."""
+
 
 class Domain:
     """A claimed ROS domain; the claim holds until `release` or the end of the process."""
@@ -37,7 +42,9 @@ class Domain:
         candidates = range(FIRST_DOMAIN, LAST_DOMAIN + 1) if wanted is None else (wanted,)
         for number in candidates:
             claim = _claim(number)
-            if claim is not None:
+            if claim is not None and wanted is None and _inhabited(number):
+                claim.close()
+            elif claim is not None:
                 self.number = number
                 self._claim = claim
                 return
@@ -47,7 +54,7 @@ class Domain:
                 'leave it out (and unset ROS_DOMAIN_ID) to get a free one'
             )
         raise UserError(
-            f'every ROS domain from {FIRST_DOMAIN} to {LAST_DOMAIN} is in use by another twin'
+            f'every ROS domain from {FIRST_DOMAIN} to {LAST_DOMAIN} is in use by another twin or node'
         )
 
     def release(self) -> None:
@@ -78,6 +85,23 @@ def _claim(number: int) -> socket.socket | None:
             raise
         return None
     return claim
+
+
+def _inhabited(number: int) -> bool:
+    """
+    Tell whether any participant of this machine is in a domain.
+
+    Participant k listens for others at UDP port 7400 + 250 number + 10 + 2 k (DDSI-RTPS 2.5, 9.6.2.3),
+    whatever its vendor; a port that somebody has cannot be bound again.
+    """
+    for k in range(PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+            try:
+                one.bind(('', 7400 + 250 * number + 10 + 2 * k))
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    return True
+    return False
 
 
 def _number(source: str, text: str | int) -> int:
