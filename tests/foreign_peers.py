@@ -4,15 +4,27 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import LONG_PATIENCE_S, PATIENCE_S, Program, domain_of, run_engine, waferbot
+from diagnostic_msgs.msg import DiagnosticArray
+from harness import (
+    LONG_PATIENCE_S,
+    PATIENCE_S,
+    Client,
+    Program,
+    domain_of,
+    run_engine,
+    start_node,
+    waferbot,
+)
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import AXES, LOCKSTEP_TOPICS
+from waferbot_msgs.msg import Encoders
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
@@ -86,6 +98,71 @@ def check_same_bits(
     unsaid = [STATES[node] for node in peers]
     differing = differing_signals(one, other)
     assert [name for name in differing if not any(state in name for state in unsaid)] == []
+
+
+def check_real_time(
+    start: Callable[..., Program],
+    client: Client,
+    domain: int,
+    log: Path,
+    node: str,
+    command: Sequence[str],
+    stands_still: bool,
+) -> None:
+    """
+    Run the twin in real time with a foreign peer (`--realtime`): the axes move by the step, and stay.
+
+    At a tenth of the speed, so that load does not matter. Where it `stands_still` for 0.2 s meanwhile,
+    that is counted by who hears it, and no more comes of it.
+    """
+    real_time = 'timekeeping:=realtime'
+    hearer, topic = {
+        'pmac': ('copley', 'current_command'),
+        'copley': ('plant', 'phase_voltages'),
+    }[node]
+    start_node(start, 'plant', domain, real_time, 'realtime_factor:=0.1')
+    own = {'pmac': [real_time, 'experiment:=step'], 'copley': [real_time]}
+    for name in own.keys() - {node}:
+        start_node(start, name, domain, *own[name])
+    environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+    stranger = Program([command[0], '--realtime', *command[1:]], log, environment)
+    newest: list[Any] = []
+    client.node.create_subscription(Encoders, 'encoders', newest.append, 1)
+    told: dict[str, Any] = {}
+    client.node.create_subscription(
+        DiagnosticArray,
+        '/diagnostics',
+        lambda array: told.update({one.name: one for one in array.status}),
+        10,
+    )
+
+    def at(tick: int) -> bool:
+        return bool(newest) and newest[-1].tick > tick
+
+    def near(message: Any, share: float) -> bool:
+        return bool(np.all(np.abs(np.array(message.counts[:3]) - STEPS) < share * np.array(STEPS)))
+
+    try:
+        client.spin_until(lambda: at(3000), 'time going on')
+        if stands_still:
+            stranger.signal(signal.SIGSTOP)
+            client.spin_until(lambda: at(newest[0].tick + 4000), 'time going on without it')
+            stranger.signal(signal.SIGCONT)
+        client.spin_until(
+            lambda: at(9000) and near(newest[-1], 0.02), 'the axes moved by the step'
+        )
+        before, status = len(newest), f'/{hearer}: timekeeping'
+        client.spin_until(lambda: len(newest) > before + 300 and status in told, 'held')
+        assert all(near(one, 0.05) for one in newest[before:])
+        values = {one.key: one.value for one in told[status].values}
+        assert int(values[f'{topic} received']) > 500
+        assert int(values[f'{topic} missed']) > 0 or not stands_still
+        assert int(values[f'{topic} contradicting']) == 0
+        assert stranger.process.poll() is None, stranger.output
+    finally:
+        stranger.process.terminate()
+        code = stranger.process.wait(PATIENCE_S)
+    assert code == 0, stranger.output
 
 
 def check_conformance(node: str, command: Sequence[str], forgiven: set[str]) -> None:

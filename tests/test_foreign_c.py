@@ -5,29 +5,23 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import subprocess
 import sysconfig
 from pathlib import Path
 
-import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from foreign_peers import (
-    STEPS,
     check_conformance,
+    check_real_time,
     check_same_bits,
     copley_arguments,
     pmac_arguments,
 )
-from harness import PATIENCE_S, Program, start_node
-
-from waferbot_msgs.msg import Encoders
 
 SOURCES = Path(__file__).parent / 'foreign_c'
 LIBRARIES = ('rcl', 'rcutils', 'rosidl_runtime_c')
 MESSAGES = 'waferbot_msgs__rosidl_typesupport_c', 'waferbot_msgs__rosidl_generator_c'
-DURATION_S = 0.5
+DURATION_S, LONG_S = 0.5, 2.0
 FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silence'}
 """Mistakes of peers that the programs pass over."""
 
@@ -96,59 +90,20 @@ def test_with_both_of_them_only_the_plant_is_ours(build, tmp_path, start):
         'pmac': [build('pmac'), *pmac_arguments()],
         'copley': [build('copley'), *copley_arguments()],
     }
-    check_same_bits(start, tmp_path, peers, DURATION_S)
+    check_same_bits(start, tmp_path, peers, LONG_S)
 
 
 def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
     build, start, domain, connect, tmp_path
 ):
-    """At a tenth of the speed, so that load does not matter; it stands still for 0.2 s meanwhile."""
-    real_time = 'timekeeping:=realtime'
-    start_node(start, 'plant', domain, real_time, 'realtime_factor:=0.1')
-    start_node(start, 'copley', domain, real_time)
-    environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-    command = [build('pmac'), '--realtime', *pmac_arguments()]
-    pmac = Program(command, tmp_path / 'pmac.log', environment)
-    client = connect(domain)
-    newest = []
-    client.node.create_subscription(Encoders, 'encoders', newest.append, 1)
-    told = {}
-    client.node.create_subscription(
-        DiagnosticArray,
-        '/diagnostics',
-        lambda array: told.update({one.name: one for one in array.status}),
-        10,
-    )
+    command = [build('pmac'), *pmac_arguments()]
+    check_real_time(start, connect(domain), domain, tmp_path / 'pmac.log', 'pmac', command, True)
 
-    def at(tick):
-        return newest and newest[-1].tick > tick
 
-    def arrived():
-        return np.all(np.abs(np.array(newest[-1].counts[:3]) - STEPS) < 0.02 * np.array(STEPS))
-
-    try:
-        client.spin_until(lambda: at(3000), 'time going on')
-        pmac.signal(signal.SIGSTOP)
-        client.spin_until(lambda: at(newest[0].tick + 4000), 'time going on without it')
-        pmac.signal(signal.SIGCONT)
-        client.spin_until(lambda: at(9000) and arrived(), 'the axes moved by the step')
-        before = len(newest)
-        client.spin_until(
-            lambda: len(newest) > before + 300 and '/copley: timekeeping' in told, 'held'
-        )
-        assert all(
-            np.all(np.abs(np.array(one.counts[:3]) - STEPS) < 0.05 * np.array(STEPS))
-            for one in newest[before:]
-        )
-        values = {one.key: one.value for one in told['/copley: timekeeping'].values}
-        assert int(values['current_command received']) > 500
-        assert int(values['current_command missed']) > 0, 'it was not missed while it stood'
-        assert int(values['current_command contradicting']) == 0
-        assert pmac.process.poll() is None, pmac.output
-    finally:
-        pmac.process.terminate()
-        code = pmac.process.wait(PATIENCE_S)
-    assert code == 0, pmac.output
+def test_in_real_time_amplifiers_in_c_move_the_axes(build, start, domain, connect, tmp_path):
+    command = [build('copley'), *copley_arguments()]
+    log = tmp_path / 'copley.log'
+    check_real_time(start, connect(domain), domain, log, 'copley', command, False)
 
 
 def test_the_conformance_kit_finds_nothing_wrong_with_the_pmac(build):

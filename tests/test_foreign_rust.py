@@ -9,13 +9,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from foreign_peers import check_conformance, check_same_bits, pmac_arguments
+from foreign_peers import check_conformance, check_real_time, check_same_bits, pmac_arguments
 
 FOLDER = Path(__file__).parent / 'foreign_rust'
 BUILT = Path(__file__).parent.parent / 'build' / 'foreign_rust'
 FORGIVEN = {'stale message', 'missing message', 'contradicting message', 'silence'}
-
-DURATION_S = 0.5
 
 # The first time, what it stands on is compiled: a minute, more on a busy machine.
 pytestmark = [pytest.mark.slow, pytest.mark.long(100), pytest.mark.timeout(900)]
@@ -53,10 +51,18 @@ def pmac():
 
 
 @pytest.mark.parametrize(
-    'layout', [(), ('--compose', 'plant,copley')], ids=['four processes', 'composed']
+    ('duration_s', 'layout'),
+    [(0.5, ()), (2.0, ('--compose', 'plant,copley'))],
+    ids=['four processes', 'composed'],
 )
-def test_a_pmac_in_rust_gives_the_same_bits_as_ours(pmac, tmp_path, start, layout):
-    check_same_bits(start, tmp_path, {'pmac': [pmac, *pmac_arguments()]}, DURATION_S, layout)
+def test_a_pmac_in_rust_gives_the_same_bits_as_ours(pmac, tmp_path, start, duration_s, layout):
+    check_same_bits(start, tmp_path, {'pmac': [pmac, *pmac_arguments()]}, duration_s, layout)
+
+
+def test_in_real_time_it_moves_the_axes(pmac, start, domain, connect, tmp_path):
+    """Without a pause: RustDDS ends its receiving thread when SIGSTOP interrupts that."""
+    command = [pmac, *pmac_arguments()]
+    check_real_time(start, connect(domain), domain, tmp_path / 'pmac.log', 'pmac', command, False)
 
 
 def test_the_conformance_kit_finds_nothing_wrong_with_it(pmac):

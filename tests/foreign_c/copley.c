@@ -7,13 +7,15 @@
  * The current loop is that of the thesis; of a drive's protections it has none but the peak current.
  *
  *   copley  ENCODER COUNTS_PER_CYCLE PROPORTIONAL INTEGRAL BUS PEAK RESISTANCE  (seven for each motor)
+ *   copley --realtime ENCODER ...
  *
  * ENCODER is the place of the motor's encoder in `counts`; PROPORTIONAL (V) and INTEGRAL (V per tick)
- * are for a duty of 32, BUS in V, PEAK in A, RESISTANCE that of one line, ohm.
+ * are for a duty of 32, BUS in V, PEAK in A, RESISTANCE that of one line, ohm. In real time the newest
+ * currents are answered, once, with the newest counts and command; ticks that went by are made up for in
+ * the integrators, not answered. Without a command none is wanted.
  */
 
 #include <math.h>
-#include <stdbool.h>
 
 #include <rosidl_runtime_c/string_functions.h>
 
@@ -57,8 +59,8 @@ static double clamp(double value, double limit) {
   return value > limit ? limit : value < -limit ? -limit : value;
 }
 
-/* Run one tick of the current loop of a motor; fill its three voltages. */
-static void close_loop(Amplifier *a, bool first, const int64_t *counts, double command,
+/* Run the current loop of a motor, `ticks` after it was last run; fill its three voltages. */
+static void close_loop(Amplifier *a, bool first, double ticks, const int64_t *counts, double command,
                        const double *current, double *voltage) {
   double turn = (double)counts[(int)a->encoder] / a->counts_per_cycle;
   turn -= floor(turn);
@@ -80,7 +82,7 @@ static void close_loop(Amplifier *a, bool first, const int64_t *counts, double c
       a->sum[k] = a->resistance / (duty_of_volt * volts) * current[k];
     }
     voltage[k] = (a->proportional * error + a->sum[k]) * duty_of_volt * volts;
-    a->sum[k] += a->integral * error;
+    a->sum[k] += a->integral * error * ticks;
   }
   voltage[2] = -(voltage[0] + voltage[1]);
 }
@@ -95,6 +97,7 @@ static bool all_finite(const double *values, int count) {
 }
 
 int main(int argc, char **argv) {
+  const bool real_time = take_real_time(&argc, &argv);
   if (argc != 1 + GIVEN * MOTORS) {
     fprintf(stderr, "copley: %d numbers expected\n", GIVEN * MOTORS);
     return 2;
@@ -143,37 +146,42 @@ int main(int argc, char **argv) {
   waferbot_msgs__msg__Stop__init(&reason);
 
   uint64_t tick = 0; /* whose voltages come next */
-  bool have_currents = false, have_counts = false, have_command = false;
+  bool begun = false, have_currents = false, have_counts = false, have_command = false;
   const char *refused = NULL;
   int64_t spoke_ns = 0;
   while (!asked_to_end) {
     wait_for_messages(&wait_set, heard, SUBSCRIPTIONS);
-    if (tick > 0 && now_ns() - spoke_ns >= REPEAT_AFTER_NS) { /* a sign of life */
+    if (begun && now_ns() - spoke_ns >= REPEAT_AFTER_NS) { /* a sign of life */
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
     }
-    /* Each topic has one message that is due: the next comes only when this tick is answered. What
-       comes beside it is a repetition, or of a node that does not keep the contract. */
+    /* In lock-step each topic has one message that is due: the next comes only when this tick is answered.
+       What comes beside it is a repetition, or of a node that does not keep the contract. */
     while (take(&heard[CURRENTS], &new_currents)) {
-      if (new_currents.tick == tick && new_currents.valid == 0x7 && !have_currents) {
+      if (real_time && new_currents.valid == 0x7 && began_anew(new_currents.tick, tick)) {
+        tick = 0;
+        begun = have_counts = false;
+      }
+      const bool due = real_time ? new_currents.tick >= tick : new_currents.tick == tick && !have_currents;
+      if (due && new_currents.valid == 0x7) {
         currents = new_currents; /* its frame_id is empty, so nothing is shared */
         have_currents = true;
       }
     }
     while (take(&heard[ENCODERS], &new_counts)) {
-      if (new_counts.tick == tick && new_counts.valid == 0xf && !have_counts) {
+      if ((real_time || (new_counts.tick == tick && !have_counts)) && new_counts.valid == 0xf) {
         counts = new_counts;
         have_counts = true;
       }
     }
     while (take(&heard[COMMAND], &new_command)) {
-      if (new_command.tick == tick && new_command.valid == 0x7 && !have_command) {
+      if ((real_time || (new_command.tick == tick && !have_command)) && new_command.valid == 0x7) {
         command = new_command;
         have_command = true;
       }
     }
-    if (have_currents && (have_counts || tick % ENCODER_TICKS) &&
-        (have_command || tick % SERVO_TICKS)) {
+    if (have_currents && (have_counts || (!real_time && tick % ENCODER_TICKS)) &&
+        (have_command || real_time || tick % SERVO_TICKS)) {
       if (!all_finite(currents.current, LINES * MOTORS)) {
         refused = "phase_currents";
       } else if (!all_finite(command.current, MOTORS)) {
@@ -182,19 +190,21 @@ int main(int argc, char **argv) {
       if (refused != NULL) {
         break;
       }
+      const double ticks = (double)(currents.tick + 1 - tick);
       for (int i = 0; i < MOTORS; ++i) {
-        close_loop(&amplifiers[i], tick == 0, counts.counts, command.current[i],
+        close_loop(&amplifiers[i], !begun, begun ? ticks : 1.0, counts.counts, command.current[i],
                    currents.current + LINES * i, answer.voltage + 3 * i);
       }
+      begun = true;
       answer.header.stamp = currents.header.stamp;
-      answer.tick = tick;
+      answer.tick = currents.tick;
       answer.valid = 0x7;
       answer.open = 0;
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
-      tick += 1;
+      tick = currents.tick + 1;
       have_currents = false;
-      have_counts = have_counts && tick % ENCODER_TICKS != 0;
+      have_counts = have_counts && (real_time || tick % ENCODER_TICKS != 0);
       have_command = have_command && tick % SERVO_TICKS != 0;
     }
     while (take(&heard[STOP], &reason)) {

@@ -7,15 +7,18 @@
 #define FOREIGN_C_NODE_H
 
 #include <signal.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <time.h>
 
 #include <rcl/rcl.h>
 #include <rcl/error_handling.h>
 
 enum { DEPTH = 1024 }; /* of all topics, both ways: docs/contract.md, Messages */
+enum { HORIZON = 1024 }; /* ticks; what is further back is of another run */
 
 #define REPEAT_AFTER_NS (100 * 1000 * 1000) /* ten times a second, while it waits */
 
@@ -99,6 +102,24 @@ static bool take(const rcl_subscription_t *subscription, void *message) {
   }
   rcl_reset_error();
   return false;
+}
+
+/* Take the option --realtime off the arguments; tell whether it was there. */
+static bool take_real_time(int *argc, char ***argv) {
+  if (*argc < 2 || strcmp((*argv)[1], "--realtime") != 0) {
+    return false;
+  }
+  *argc -= 1;
+  *argv += 1;
+  return true;
+}
+
+/* Whether time has begun anew: two messages in a row of tick 0, or of long before the newest. */
+static bool began_anew(uint64_t tick, uint64_t next_tick) {
+  static int far_back = 0;
+  const bool back = next_tick > 0 && (tick == 0 || tick + HORIZON < next_tick);
+  far_back = back ? far_back + 1 : 0;
+  return far_back > 1;
 }
 
 static void end_node(rcl_context_t *context, rcl_node_t *node) {

@@ -15,15 +15,13 @@
  */
 
 #include <math.h>
-#include <stdbool.h>
-#include <string.h>
 
 #include "node.h"
 #include "waferbot_msgs/msg/current_command.h"
 #include "waferbot_msgs/msg/encoders.h"
 #include "waferbot_msgs/msg/stop.h"
 
-enum { MOTORS = 3, SERVO_TICKS = 8, HORIZON = 1024 };
+enum { MOTORS = 3, SERVO_TICKS = 8 };
 
 #define INTEGRATOR_UNITS 8388608.0          /* 2^23 */
 #define INTEGRATOR_LIMIT 4194304.0          /* Ixx63, 1/16 count */
@@ -69,20 +67,8 @@ static double close_loop(Motor *m, const int64_t *counts, int i, bool stepped, d
   return floor(output * 256.0) / 256.0 * m->peak_current / 32768.0;
 }
 
-/* Whether time has begun anew: two messages in a row of tick 0, or of long before the newest. */
-static bool began_anew(uint64_t tick, uint64_t next_tick) {
-  static int far_back = 0;
-  const bool back = next_tick > 0 && (tick == 0 || tick + HORIZON < next_tick);
-  far_back = back ? far_back + 1 : 0;
-  return far_back > 1;
-}
-
 int main(int argc, char **argv) {
-  const bool real_time = argc > 1 && strcmp(argv[1], "--realtime") == 0;
-  if (real_time) {
-    argv += 1;
-    argc -= 1;
-  }
+  const bool real_time = take_real_time(&argc, &argv);
   if (argc != 2 + 9 * MOTORS) {
     fprintf(stderr, "pmac: %d numbers expected\n", 1 + 9 * MOTORS);
     return 2;

@@ -7,10 +7,11 @@
 //! PID Algorithm") what to say. Its sums are of whole numbers, so that f64 carries them exactly, in
 //! whatever order.
 //!
-//!     foreign-pmac STEP_TICK  COUNTS Ixx08 Ixx09 Ixx29 Ixx30 Ixx31 Ixx32 Ixx33 PEAK_CURRENT
+//!     foreign-pmac [--realtime] STEP_TICK  COUNTS Ixx08 Ixx09 Ixx29 Ixx30 Ixx31 Ixx32 Ixx33 PEAK_CURRENT
 //!
 //! with the last nine for each motor. At STEP_TICK each motor is commanded to step by COUNTS from where
-//! it stood at the beginning.
+//! it stood at the beginning. In real time the newest counts are answered, once, with the tick of their
+//! servo cycle; what went by is made up for in the law, not answered.
 
 use std::net::Ipv4Addr;
 use std::sync::Arc;
@@ -29,6 +30,7 @@ use serde::{Deserialize, Serialize};
 const MOTORS: usize = 3;
 const SERVO_TICKS: u64 = 8;
 const DEPTH: usize = 1024;
+const HORIZON: u64 = 1024; // ticks; what is further back is of another run
 const REPEAT_AFTER: Duration = Duration::from_millis(100); // ten times a second, while it waits
 const INTEGRATOR_UNITS: f64 = 8388608.0; // 2^23
 const INTEGRATOR_LIMIT: f64 = 4194304.0; // Ixx63, 1/16 count
@@ -39,7 +41,7 @@ const POSITION: [usize; MOTORS] = [0, 1, 2];
 const VELOCITY: [usize; MOTORS] = [0, 1, 3]; // the last motor has two encoders
 
 /// The messages, field by field as their definitions have them.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct Header {
     sec: i32,
     nanosec: u32,
@@ -47,6 +49,7 @@ struct Header {
 }
 
 #[derive(Deserialize)]
+#[allow(dead_code)] // all fields are on the wire, whether or not they are read here
 struct Encoders {
     header: Header,
     tick: u64,
@@ -63,7 +66,7 @@ struct CurrentCommand {
 }
 
 #[derive(Deserialize)]
-#[allow(dead_code)] // all fields are on the wire, whether or not they are read here
+#[allow(dead_code)]
 struct Stop {
     header: Header,
     tick: u64,
@@ -115,15 +118,15 @@ impl Motor {
         self.integrator = 0.0;
     }
 
-    /// Run one servo cycle; return the current, A.
-    fn close_loop(&mut self, position: i64, velocity: i64, stepped: bool) -> f64 {
+    /// Run the servo, `cycles` after it was last run; return the current, A.
+    fn close_loop(&mut self, position: i64, velocity: i64, stepped: bool, cycles: f64) -> f64 {
         let scale = 32.0 * self.ixx08;
         let limit = INTEGRATOR_LIMIT * 2.0 * self.ixx08 * INTEGRATOR_UNITS;
         let target = self.start + if stepped { self.step } else { 0.0 };
         let command = (target * scale + 0.5).floor();
-        let command_velocity = command - self.command;
+        let command_velocity = (command - self.command) / cycles;
         let feedback = velocity as f64 * 32.0 * self.ixx09;
-        let actual_velocity = feedback - self.velocity_feedback;
+        let actual_velocity = (feedback - self.velocity_feedback) / cycles;
         let error = command - position as f64 * scale;
         let damping = (self.ixx32 * command_velocity - self.ixx31 * actual_velocity) / 128.0;
         let total = error + damping + self.integrator / INTEGRATOR_UNITS;
@@ -134,37 +137,81 @@ impl Motor {
             output = OUTPUT_LIMIT.copysign(output); // and the integrator is held
         } else if command_velocity == 0.0 {
             // Ixx34 is 1: no integration during a commanded move
-            self.integrator = (self.integrator + self.ixx33 * error).clamp(-limit, limit);
+            self.integrator = (self.integrator + self.ixx33 * error * cycles).clamp(-limit, limit);
         }
         (output * 256.0).floor() / 256.0 * self.peak_current / 32768.0
     }
 }
 
-/// The servo: answers the encoders of each servo tick, once and in order.
+/// The servo: answers the encoders of each servo tick, once and in order; in real time the newest.
 struct Pmac {
     motors: Vec<Motor>,
     step_tick: u64,
     next_tick: u64,
+    real_time: bool,
+    begun: bool,
+    far_back: u32, // messages in a row of tick 0, or of long before the newest
 }
 
 impl Pmac {
-    fn answer(&mut self, encoders: &Encoders) -> Option<CurrentCommand> {
-        if encoders.tick != self.next_tick || encoders.valid != 0xf {
-            return None; // no servo tick, or a repetition
+    /// Whether time has begun anew: two messages in a row that are far back.
+    fn began_anew(&mut self, tick: u64) -> bool {
+        let back = self.next_tick > 0 && (tick == 0 || tick + HORIZON < self.next_tick);
+        self.far_back = if back { self.far_back + 1 } else { 0 };
+        self.far_back > 1
+    }
+
+    /// Answer what has come, in the order in which it came.
+    fn answer(&mut self, heard: &[Encoders]) -> Vec<CurrentCommand> {
+        if !self.real_time {
+            return heard.iter().filter_map(|one| self.servo(one)).collect();
         }
+        let mut newest = None;
+        for encoders in heard.iter().filter(|one| one.valid == 0xf) {
+            if self.began_anew(encoders.tick) {
+                self.next_tick = 0;
+                self.begun = false;
+            }
+            newest = Some(encoders);
+        }
+        newest.and_then(|one| self.servo(one)).into_iter().collect()
+    }
+
+    /// Close the loops at a servo tick that has not been answered.
+    fn servo(&mut self, encoders: &Encoders) -> Option<CurrentCommand> {
+        let due = if self.real_time {
+            encoders.tick >= self.next_tick
+        } else {
+            encoders.tick == self.next_tick // else no servo tick, or a repetition
+        };
+        if !due || encoders.valid != 0xf {
+            return None;
+        }
+        let tick = encoders.tick / SERVO_TICKS * SERVO_TICKS;
+        let cycles = if self.begun {
+            ((tick + SERVO_TICKS - self.next_tick) / SERVO_TICKS) as f64
+        } else {
+            1.0
+        };
         let mut current = [0.0; MOTORS];
         for (place, motor) in self.motors.iter_mut().enumerate() {
             let position = encoders.counts[POSITION[place]];
             let velocity = encoders.counts[VELOCITY[place]];
-            if encoders.tick == 0 {
+            if !self.begun {
                 motor.prime(position, velocity);
             }
-            current[place] = motor.close_loop(position, velocity, encoders.tick >= self.step_tick);
+            current[place] = motor.close_loop(position, velocity, tick >= self.step_tick, cycles);
         }
-        self.next_tick += SERVO_TICKS;
+        self.begun = true;
+        self.next_tick = tick + SERVO_TICKS;
+        let stamp_ns = tick * 500_000 / 9;
         Some(CurrentCommand {
-            header: encoders.header.clone(),
-            tick: encoders.tick,
+            header: Header {
+                sec: (stamp_ns / 1_000_000_000) as i32,
+                nanosec: (stamp_ns % 1_000_000_000) as u32,
+                frame_id: String::new(),
+            },
+            tick,
             valid: 0x7,
             current,
         })
@@ -172,8 +219,13 @@ impl Pmac {
 }
 
 fn main() {
-    let given: Vec<f64> = std::env::args()
-        .skip(1)
+    let mut words: Vec<String> = std::env::args().skip(1).collect();
+    let real_time = words.first().is_some_and(|word| word == "--realtime");
+    if real_time {
+        words.remove(0);
+    }
+    let given: Vec<f64> = words
+        .iter()
         .map(|word| {
             word.parse()
                 .unwrap_or_else(|_| panic!("{word:?} is no number"))
@@ -184,6 +236,9 @@ fn main() {
         motors: given[1..].chunks(9).map(Motor::new).collect(),
         step_tick: given[0] as u64,
         next_tick: 0,
+        real_time,
+        begun: false,
+        far_back: 0,
     };
     let asked_to_end = Arc::new(AtomicBool::new(false));
     let end = asked_to_end.clone();
@@ -223,12 +278,14 @@ fn main() {
         if let Err(error) = poll.poll(&mut events, Some(REPEAT_AFTER)) {
             assert_eq!(error.kind(), std::io::ErrorKind::Interrupted, "{error}");
         }
+        let mut heard = Vec::new();
         while let Some((message, _)) = encoders.take().expect("encoders") {
-            if let Some(answer) = pmac.answer(&message) {
-                command.publish(answer.clone()).expect("publish");
-                spoke = Instant::now();
-                last = Some(answer);
-            }
+            heard.push(message);
+        }
+        for answer in pmac.answer(&heard) {
+            command.publish(answer.clone()).expect("publish");
+            spoke = Instant::now();
+            last = Some(answer);
         }
         // A sign of life; also for those who were not there before.
         if let Some(answer) = last.as_ref().filter(|_| spoke.elapsed() >= REPEAT_AFTER) {
