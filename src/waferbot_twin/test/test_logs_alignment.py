@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 
@@ -13,12 +11,7 @@ from waferbot_twin.logs.measured import Signal
 
 J, B, C, G = 0.02, 0.05, 0.15, 0.4  # kg m2, Nm s/rad, Nm, Nm: inertia, damping, friction, gravity
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '11'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 11
 
 
 class Motion:

@@ -9,7 +9,6 @@ both round down differ by half a step. The motions are exact, so that nothing el
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -39,12 +38,7 @@ signals:
   - {column: torque, kind: torque, axis: x_rotate, unit: Nm}
 """
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '7'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 7
 
 
 @pytest.fixture(scope='module')

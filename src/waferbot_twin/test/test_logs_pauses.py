@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -26,12 +25,7 @@ AXIS = 'x_rotate'
 RATE_HZ, COUNT = 1000.0, 2000
 HOUR_S = 3600.0
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '33'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 33
 
 
 @pytest.fixture

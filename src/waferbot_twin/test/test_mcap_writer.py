@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from io import BytesIO
 
 import numpy as np
@@ -17,12 +16,7 @@ from waferbot_twin.recording.writer import PUT_ASIDE, RecordingWriter
 CHUNK_BYTES = 2000
 TEXT = 'float64 x\n'
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '33'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 33
 
 
 def begun(text, channels):

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import tracemalloc
 from functools import partial
 
@@ -25,12 +24,7 @@ from waferbot_twin.response import driving_current
 from waferbot_twin.response_reader import load_responses
 from waferbot_twin.thinning import Thinned, extremes, thinned
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '33'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 33
 
 
 @pytest.fixture(scope='module')

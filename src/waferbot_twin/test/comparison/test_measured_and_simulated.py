@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +35,7 @@ CHANGES = {
     'copley': {'copley': {AXIS: {'proportional_gain': 5000}}},
 }
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '33'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 33
 
 
 @pytest.fixture(scope='module')

@@ -8,7 +8,6 @@ its motion exactly; the controller there is a line of Python.
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -67,12 +66,7 @@ signals:
 """
 COMMANDED = '  - {column: commanded, kind: commanded_position, axis: x_rotate, unit: rad}\n'
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '8'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 8
 
 
 def exact_loop(commanded, delay_s=0.0, counts=0.0, stretches=8):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +18,7 @@ STEP = 1.0 / RATE
 AXIS, PLACE = 'x_rotate', 1
 NOTHING = np.zeros(3)
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '5'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 5
 
 
 def controller(kind, **gains):

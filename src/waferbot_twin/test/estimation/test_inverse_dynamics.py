@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 import pytest
@@ -30,12 +29,7 @@ from waferbot_twin.estimation.inverse_dynamics import (
 MASS, VISCOUS, COULOMB, OFFSET = 95.0, 200.0, 20.0, -3.0
 STEP_S = 1e-3
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '3'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 3
 
 
 class Motion:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 import pytest
@@ -14,12 +13,7 @@ from waferbot_twin.noise_model.misfit import InLog, StateFunctions, power_along
 RATE_HZ = 1000.0
 SAMPLES = 6000
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '11'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 11
 
 
 def motions(random, logs=2):

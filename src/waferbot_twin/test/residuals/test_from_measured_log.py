@@ -9,7 +9,6 @@ and the truth.
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -38,12 +37,7 @@ INERTIA = 2.5e-4  # kg m2, of the direct-drive motor
 COUNTS = 8192.0 / (2.0 * math.pi)
 AXIS = 'x_rotate'
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '6'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 6
 
 
 @pytest.fixture(scope='module')

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-import os
 
 import numpy as np
 import pytest
@@ -27,12 +26,7 @@ RATE_HZ = 400.0
 ENOUGH_S = ENOUGH_SAMPLES / RATE_HZ
 FRICTION = 4e-4  # Nm s/rad
 
-
-@pytest.fixture
-def random():
-    seed = int(os.environ.get('WAFERBOT_SEED', '7'))
-    print(f'seed {seed}: repeat with WAFERBOT_SEED={seed}')
-    return np.random.default_rng(seed)
+SEED = 7
 
 
 @pytest.fixture(scope='module')
