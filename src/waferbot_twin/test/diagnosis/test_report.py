@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
@@ -190,6 +191,16 @@ def test_the_console_says_what_the_page_says(diagnosis, capsys):
     assert -1 not in places, dict(zip(order, places, strict=True))
     assert places == sorted(places)
     assert 'y_linear' not in text
+
+
+def test_on_a_narrow_console_nothing_is_cut(diagnosis, capsys, monkeypatch):
+    words = {}
+    for width in (80, 1000):
+        console = Console(width=width, highlight=False, markup=False)
+        monkeypatch.setattr('waferbot_twin.cli.print_diagnosis.result_console', console)
+        print_diagnosis(diagnosis)
+        words[width] = sorted(capsys.readouterr().out.split())
+    assert words[80] == words[1000]
 
 
 def test_nothing_is_said_in_the_controllers_own_units(parsed):

@@ -8,7 +8,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
 from rich.console import Console
@@ -33,9 +33,9 @@ error_console = Console(stderr=True, highlight=False, markup=False)
 
 
 def _result_console() -> Console:
-    """Return a console that keeps tables whole when the output goes to a file."""
+    """Return a console that keeps tables whole when the output goes to a file: as wide as they are."""
     console = Console(highlight=False, markup=False)
-    return console if console.is_terminal else Console(highlight=False, markup=False, width=120)
+    return console if console.is_terminal else Console(highlight=False, markup=False, width=1000)
 
 
 result_console = _result_console()
@@ -46,11 +46,19 @@ def print_json(result: Any) -> None:
     print(json.dumps(finite(result), indent=2, sort_keys=True))
 
 
-def new_table(*headings: str) -> Table:
-    """Return an empty table: the first column names the row, the others hold numbers."""
+def new_table(*headings: str, text: Collection[str] = ()) -> Table:
+    """
+    Return an empty table: the first column names the row, the others hold numbers.
+
+    Where the terminal is narrow, names are wrapped, and so are the columns of other `text`.
+    """
     table = Table(box=None, pad_edge=False)
     for place, heading in enumerate(headings):
-        table.add_column(heading, justify='right' if place else 'left', no_wrap=True)
+        table.add_column(
+            heading,
+            justify='right' if place else 'left',
+            no_wrap=bool(place) and heading not in text,
+        )
     return table
 
 

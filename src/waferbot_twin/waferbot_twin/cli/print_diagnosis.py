@@ -52,7 +52,9 @@ def _print_causes(diagnosis: Diagnosis, heading: str, causes: list[FoundCause]) 
     if not causes:
         return
     print()
-    table = new_table(heading, 'share', 'how sure', '', 'value', '95 %')
+    table = new_table(
+        heading, 'share', 'how sure', '', 'value', '95 %', text=('how sure', '', '95 %')
+    )
     for found in causes:
         first = (
             capital(title(found.cause)),
@@ -78,7 +80,7 @@ def _cells(row: ParameterText) -> tuple[str, str, str]:
 
 def _print_table(headings: list[str], rows: list[dict[str, str]]) -> None:
     print()
-    table = new_table(*headings)
+    table = new_table(*headings, text=headings)
     for row in rows:
         table.add_row(*row.values())
     result_console.print(table)

@@ -21,7 +21,7 @@ from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem
 
 
-def pool_of(experiment, names):
+def pool_of(experiment, names, progress=lambda *_: None):
     """Return a pool of effects for the log of the nominal model in an experiment."""
     nominal, timing = Variant.of(load_model('rigid')), Timing()
     motion = load_experiment(experiment)
@@ -29,7 +29,7 @@ def pool_of(experiment, names):
     commanded = commanded_positions(motion, parameters, timing.servo_hz)
     signals = run_commanded(nominal, timing, commanded, timing.ticks(0.3))
     problem = Problem(nominal, [record_of_signals('log', signals)])
-    return CandidatePool(problem, [find(name) for name in names], Settings(), lambda *_: None)
+    return CandidatePool(problem, [find(name) for name in names], Settings(), progress)
 
 
 def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
@@ -74,3 +74,19 @@ def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
         assert name in {item.cause.effect.name for item in pool.in_place_of(found)}
         alone = evaluate(problem, (typical(of_axis),))
         assert name not in {item.cause.effect.name for item in pool.in_place_of(alone)}
+
+
+def test_progress_says_beside_how_many_causes():
+    told = []
+    pool = pool_of(
+        'full_stroke_y_linear',
+        ('coulomb_friction', 'constant_force'),
+        lambda *one: told.append(one),
+    )
+    effect = find('coulomb_friction')
+    friction = Cause(effect, 'y_linear', effect.typical(pool.problem.nominal, 'y_linear'))
+    pool.begin(evaluate(pool.problem))
+    pool.screen(evaluate(pool.problem, (friction,)))
+    stages = [stage for stage, _, _ in told]
+    assert list(dict.fromkeys(stages)) == ['screening', 'screening beside 1 cause']
+    assert told[-1][1] == told[-1][2]

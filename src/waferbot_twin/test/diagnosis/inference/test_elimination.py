@@ -24,6 +24,7 @@ POOL = SimpleNamespace(
     problem=SimpleNamespace(nominal=None, size_scales=(), sized_by_log=lambda effect, axis: False),
     settings=Settings(),
     log_prior=lambda cause: -3.0,
+    progress=lambda stage, done, total: None,
 )
 
 

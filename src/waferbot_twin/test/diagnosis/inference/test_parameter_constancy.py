@@ -61,7 +61,14 @@ def pool(monkeypatch):
     monkeypatch.setattr(parameter_constancy, 'gain', gain)
     monkeypatch.setattr(parameter_constancy, 'odds_beside', odds_beside)
     monkeypatch.setattr(parameter_constancy, 'with_last', last)
-    return SimpleNamespace(problem=None, settings=Settings(), refitted=refitted)
+    told = []
+    return SimpleNamespace(
+        problem=None,
+        settings=Settings(),
+        refitted=refitted,
+        told=told,
+        progress=lambda *done: told.append(done),
+    )
 
 
 def inclusions(found):
@@ -73,9 +80,10 @@ def test_what_varies_too_much_is_as_likely_as_not(pool):
     after = parameter_constancy.as_sure_as_constant(pool, before)
     sure = before.effects[0].inclusion
     assert inclusions(after) == pytest.approx([sure, 0.5, sure, sure])
-    assert pool.refitted == [
-        'ripple:x'
-    ]  # where they agree in the linear problem nothing is fitted
+    assert pool.refitted == ['ripple:x'], (
+        'where they agree in the linear problem nothing is fitted'
+    )
+    assert pool.told == [('parameter constancy', done, len(NAMES)) for done in range(len(NAMES))]
 
 
 @pytest.mark.parametrize(('by_parts', 'odds'), [(11.0, 2.0), (30.0, 9.0)])

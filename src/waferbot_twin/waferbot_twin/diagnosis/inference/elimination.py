@@ -52,7 +52,9 @@ def evident(
     open_ones = {one.best.cause.name for one in left}
     limit = log_odds_at(pool.settings.included_from)
     odds_of: dict[str, float] = {}
+    total = len(open_ones)
     while open_ones:
+        pool.progress(f'elimination, {total} causes', total - len(open_ones), total)
         again = _without_some(pool, found, sorted(open_ones))
         if again is not None:
             names = {cause.name for cause in again.causes}

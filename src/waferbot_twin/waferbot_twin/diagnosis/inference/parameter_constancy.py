@@ -27,12 +27,13 @@ from waferbot_twin.estimation.hypothesis import Hypothesis
 
 def as_sure_as_constant(pool: CandidatePool, posterior: Posterior) -> Posterior:
     """Return a posterior whose causes are no more probable than beside how their sizes vary."""
-    effects = [
-        effect
-        if is_nuisance(effect.best.cause) or is_discrepancy(effect.best.cause)
-        else _judged(pool, posterior.found, cause.name, effect)
-        for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True)
-    ]
+    effects: list[SingleEffect] = []
+    for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True):
+        pool.progress('parameter constancy', len(effects), len(posterior.effects))
+        without_name = is_nuisance(effect.best.cause) or is_discrepancy(effect.best.cause)
+        effects.append(
+            effect if without_name else _judged(pool, posterior.found, cause.name, effect)
+        )
     return replace(posterior, effects=tuple(effects))
 
 

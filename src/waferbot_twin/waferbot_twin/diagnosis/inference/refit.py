@@ -14,7 +14,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
-from waferbot_twin.diagnosis.proposals.screening import Progress, Screened
+from waferbot_twin.diagnosis.proposals.screening import Progress, Screened, stage
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
 from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
@@ -260,7 +260,7 @@ class Refits:
         )
         found = {key: self._last[key] for key in keys if key in self._last}
         for done, (number, parts) in enumerate(zip(new, pool(tasks), strict=True), 1):
-            self.progress('fitting', done, len(new))
+            self.progress(stage('fitting', base.causes), done, len(new))
             found[keys[number]] = parts
         self._last = found
         return [

@@ -68,6 +68,13 @@ from waferbot_twin.residuals.record import Array
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done and how much there is."""
 
+
+def stage(what: str, causes: Sequence[Cause]) -> str:
+    """Return the name of what is being done beside causes that were found by then, for who waits."""
+    count = len(causes)
+    return f'{what} beside {count} cause{"s" * (count > 1)}' if count else what
+
+
 PARTS = 4
 """In how many parts each worker takes candidates: to send the logs takes as long as to simulate some."""
 
@@ -189,7 +196,7 @@ def signatures(
     pool = Parallel(n_jobs=workers, return_as='generator')
     for part in pool(delayed(_signatures)(quick, begun, chunk) for chunk in chunks):
         found += part
-        progress('screening', len(found), len(rivals))
+        progress(stage('screening', base.causes), len(found), len(rivals))
     return found
 
 
