@@ -22,6 +22,7 @@ LONG_S = 30.0
 """What a file takes that is marked `long` without saying how many seconds."""
 
 
+@pytest.hookimpl(optionalhook=True)  # where pytest-xdist is installed
 def pytest_xdist_auto_num_workers() -> int:
     """Return one more than there are cores: nodes over ROS wait for one another much of the time."""
     return len(os.sched_getaffinity(0)) + 1
