@@ -15,7 +15,6 @@ from harness import PATIENCE_S, Program, user_environment
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_msgs.msg import Encoders
-from waferbot_twin.recording.compare import differing_signals
 from waferbot_twin.recording.reader import read_recording
 
 pytestmark = [
