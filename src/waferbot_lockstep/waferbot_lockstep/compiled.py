@@ -111,3 +111,6 @@ numba.config.CACHE_DIR = str(cache_folder())  # type: ignore[attr-defined]
 numba.config.DISABLE_INTEL_SVML = True  # type: ignore[attr-defined]
 
 compiled = numba.njit(cache=True, error_model='numpy')
+
+compiled_without_lock = numba.njit(cache=True, error_model='numpy', nogil=True)
+"""The same for what runs long by itself: other threads of Python go on meanwhile."""

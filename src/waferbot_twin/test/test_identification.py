@@ -215,7 +215,7 @@ class LinearProblem(Problem):
     def between(self, one, other):
         return (PLANT,)
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         values = np.array([variant.values[name] for name in sorted(variant.values)])
         return [self._measured - self._matrix @ values]
 

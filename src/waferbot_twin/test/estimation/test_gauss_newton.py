@@ -60,7 +60,7 @@ class Decay:
     def between(self, one, other):
         return (PLANT,)
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         values = [variant.get(name, 0.0) for name in ('amplitude', 'rate', 'offset')]
         return [self.measured - model(*values)]
 
@@ -141,7 +141,7 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
     (parameter,) = effect.parameters(variant, 'y_rotate')
     true = 1e-3 * parameter.typical
 
-    def simulated(problem, causes):
+    def simulated(problem, causes, workers=1):
         error = causes[0].values['curvature'] / true - 1.0
         return SimpleNamespace(causes=causes, log_likelihood=-100.0 * error**2)
 
@@ -170,7 +170,7 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
 class Jump(Decay):
     """The decay with something that is another machine as soon as there is any of it."""
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         (left,) = super().residuals(variant, block)
         return [left + (5.0 * np.sign(TIME_S - 0.5) if variant.get('jump', 0.0) > 0.0 else 0.0)]
 
@@ -210,7 +210,7 @@ class Wave:
 class Ripple(Decay):
     """A problem whose plant is a decay with a wave of some order over it."""
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         (left,) = super().residuals(variant, block)
         return [left - variant.get('size', 0.0) * np.sin(variant.get('order', 0.0) * TIME_S)]
 
@@ -224,7 +224,7 @@ def test_an_order_stays_where_it_is_as_long_as_sizes_are_wrong(monkeypatch):
     causes = (*decay_causes(-10.0), Cause(Wave(), 'x', {'size': 0.5, 'order': 40.0}))
     tried, evaluate = [], gauss_newton.evaluate
 
-    def noted(problem, causes):
+    def noted(problem, causes, workers=1):
         tried.append([value for cause in causes for value in cause.values.values()])
         return evaluate(problem, causes)
 
@@ -240,7 +240,7 @@ def test_an_order_stays_where_it_is_as_long_as_sizes_are_wrong(monkeypatch):
 class Bend(Decay):
     """A problem that bends: over a usual way its slope is another one than over what the log shows."""
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         x = variant.get('bend', 0.0)
         return [self.measured - (x + 30.0 * abs(x) * x) * (1.0 + TIME_S)]
 

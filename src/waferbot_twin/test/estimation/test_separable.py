@@ -60,7 +60,7 @@ class Blocks:
     def between(self, one, other):
         return tuple(block for block in READS if self.blocks[block])
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         self.simulated[block] += 1
         values = [variant.get(name, 0.0) for name in READS[block]]
         return [self.measured[block] - response(values)]

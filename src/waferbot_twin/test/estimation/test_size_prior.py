@@ -72,7 +72,7 @@ class Sum:
     def between(self, one, other):
         return (PLANT,)
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         return [self.measured - np.array(variant) @ self.signals]
 
     def noises(self, block):

@@ -122,7 +122,7 @@ def fit_causes(
     too little they are found anew, those that are `known` excepted, before the fit ends. Raises
     `UserError` if the simulation blows up where the fit begins.
     """
-    now, gained = evaluate(problem, causes), 0.0
+    now, gained = evaluate(problem, causes, workers), 0.0
     names = names_of(problem, causes)
     bends = [item.shape for _, item in names]
     # Sizes first: a shape goes astray as long as they are wrong.
@@ -137,10 +137,10 @@ def fit_causes(
             fresh, coarse = True, errors is None
         linear, seen = linearise(problem, now, signatures), signatures
         errors = _conditional_errors(linear)
-        better, reach = _step(problem, now, names, linear, reach)
+        better, reach = _step(problem, now, names, linear, reach, workers)
         if better is None and fresh and not roughly and _promised(linear) > PROMISES:
-            sound = _sound(problem, now, names, linear)
-            better, reach = _step(problem, now, names, sound, first)
+            sound = _sound(problem, now, names, linear, workers)
+            better, reach = _step(problem, now, names, sound, first, workers)
         gain = 0.0 if better is None else log_posterior_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
@@ -231,6 +231,7 @@ def _step(
     names: Names,
     linear: Linear,
     reach: Reach,
+    workers: int = 1,
 ) -> tuple[Hypothesis | None, Reach]:
     """
     Return the first better hypothesis within ever shorter reaches, or None, and the next reach.
@@ -247,14 +248,14 @@ def _step(
         shortest *= min(1.0, float(np.max(np.abs(linear.value) / widths, initial=0.0)))
     while reach.sizes >= shortest:
         change = _bounded(now.causes, names, linear, reach)
-        better = _if_better(problem, now, names, change)
+        better = _if_better(problem, now, names, change, workers)
         if better is not None:
             return better, reach.times(2.0, 2.0)
         used = np.abs(change) / widths
         shorter = min(reach.shapes, float(np.max(used[shapes], initial=0.0)))
         if shorter > 0.0:
             change = _bounded(now.causes, names, of_sizes, reach)
-            better = _if_better(problem, now, names, change)
+            better = _if_better(problem, now, names, change, workers)
             if better is not None:
                 return better, Reach(2.0 * reach.sizes, 0.3 * shorter)
             used = np.abs(change) / widths
@@ -266,11 +267,11 @@ def _step(
 
 
 def _if_better(
-    problem: Problem, now: Hypothesis, names: Names, change: Array
+    problem: Problem, now: Hypothesis, names: Names, change: Array, workers: int
 ) -> Hypothesis | None:
     """Return a hypothesis with its parameters changed if that is more probable; else None."""
     try:
-        tried = evaluate(problem, moved(now.causes, names, change))
+        tried = evaluate(problem, moved(now.causes, names, change), workers)
     except UserError:
         return None
     return tried if log_posterior_ratio(problem, tried, now) > 0.0 else None
@@ -287,25 +288,32 @@ def _promised(linear: Linear) -> float:
     return float(np.sum((linear.matrix @ linear.value) ** 2))
 
 
-def _sound(problem: Problem, now: Hypothesis, names: Names, linear: Linear) -> Linear:
+def _sound(
+    problem: Problem, now: Hypothesis, names: Names, linear: Linear, workers: int
+) -> Linear:
     """
     Return the linear problem with only those causes whose own steps, each alone, do no harm.
 
     As soon as there is any of some, the machine is another one: a jump, which a difference shows as a
     slope. One such cause makes every step of all others fail.
     """
-    sound = np.zeros(len(names), np.bool_)
-    for number in range(len(now.causes)):
-        own = np.array([place == number for place, _ in names])
-        alone = _only(linear, own)
-        try:
-            tried = evaluate(
-                problem, moved(now.causes, names, _bounded(now.causes, names, alone, Reach()))
-            )
-        except UserError:
-            continue
-        sound |= own & (log_posterior_ratio(problem, tried, now) >= 0.0)
-    return _only(linear, sound)
+    owners = np.array([place for place, _ in names])
+    steps = [
+        _bounded(now.causes, names, _only(linear, owners == number), Reach())
+        for number in range(len(now.causes))
+    ]
+    pool = Parallel(n_jobs=workers if len(steps) > 1 else 1)
+    harmless = pool(delayed(_is_harmless)(problem, now, names, step) for step in steps)
+    return _only(linear, np.array(harmless)[owners])
+
+
+def _is_harmless(problem: Problem, now: Hypothesis, names: Names, change: Array) -> bool:
+    """Return whether with a change a hypothesis is no less probable."""
+    try:
+        tried = evaluate(problem, moved(now.causes, names, change))
+    except UserError:
+        return False
+    return log_posterior_ratio(problem, tried, now) >= 0.0
 
 
 def _only(linear: Linear, free: NDArray[np.bool_]) -> Linear:

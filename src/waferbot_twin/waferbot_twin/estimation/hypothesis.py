@@ -93,11 +93,15 @@ def log_likelihood_ratios(this: Hypothesis, other: Hypothesis, block: str) -> li
     return [float(value) for value in most_likely(this) - most_likely(other)]
 
 
-def evaluate(problem: Problem, causes: tuple[Cause, ...] = ()) -> Hypothesis:
-    """Return the model with these causes as they are; raises `UserError` if it blows up."""
+def evaluate(problem: Problem, causes: tuple[Cause, ...] = (), workers: int = 1) -> Hypothesis:
+    """
+    Return the model with these causes as they are, so many logs simulated at a time.
+
+    Raises `UserError` if it blows up.
+    """
     variant = apply_all(problem.nominal, causes)
     residuals = {
-        block: problem.residuals(variant, block)
+        block: problem.residuals(variant, block, workers)
         for block, parts in problem.blocks.items()
         if parts
     }

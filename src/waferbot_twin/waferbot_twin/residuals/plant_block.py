@@ -60,7 +60,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.compiled import compiled
+from waferbot_lockstep.compiled import compiled, compiled_without_lock
 from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
@@ -440,7 +440,7 @@ def _samples(
     return np.concatenate(parts), np.concatenate(ends)
 
 
-@compiled
+@compiled_without_lock
 def _drive(
     state,
     parameters,

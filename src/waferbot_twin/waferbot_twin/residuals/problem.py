@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol, cast
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.effects.effect import Effect, Values
@@ -226,9 +227,12 @@ class Problem:
         """The plant of every log."""
         return cast('list[PlantBlock]', self.blocks[PLANT])
 
-    def residuals(self, variant: Variant, block: str) -> list[Array]:
-        """Return the residuals of a block, all channels of all logs."""
-        return [channel for part in self.blocks[block] for channel in part.residuals(variant)]
+    def residuals(self, variant: Variant, block: str, workers: int = 1) -> list[Array]:
+        """Return the residuals of a block, all channels of all logs, so many logs at a time."""
+        parts = self.blocks[block]
+        pool = Parallel(n_jobs=min(workers, len(parts)) or 1, prefer='threads')
+        every = pool(delayed(part.residuals)(variant) for part in parts)
+        return [channel for of_log in every for channel in of_log]
 
     def ideal(self, causes: Sequence[Cause]) -> Problem | None:
         """

@@ -99,7 +99,7 @@ class Sum:
     def between(self, one, other):
         return (PLANT,)
 
-    def residuals(self, variant, block):
+    def residuals(self, variant, block, workers=1):
         return [self.measured - sum(variant.values(), np.zeros_like(TIME_S))]
 
     def noises(self, block):

@@ -16,7 +16,8 @@ finds only those anew whose blocks these change.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,6 +66,29 @@ _Beside = tuple[Values, ...]
 
 _Asked = tuple[Values, _Beside, _Beside]
 """A candidate, what was known when its signature was found, and what is known now."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """
+    What the causes of one hypothesis are judged by, without any other candidate: for another process.
+
+    `signatures` are those of its causes in their order, `priors` ln of their prior odds by name.
+    """
+
+    problem: Problem
+    settings: Settings
+    priors: Mapping[str, float]
+    signatures: Sequence[Signature]
+    workers: int = 1
+
+    def log_prior(self, cause: Cause) -> float:
+        """Return ln of the prior odds of a cause against none."""
+        return self.priors[cause.name]
+
+    def signatures_of(self, found: Hypothesis) -> Sequence[Signature]:
+        """Return what the causes of the hypothesis change."""
+        return self.signatures
 
 
 class CandidatePool:
@@ -317,6 +341,11 @@ class CandidatePool:
             names = [cause.name for cause in base.causes]
             self._of_base[key] = dict(zip(names, found, strict=True))
         return [self._of_base[key][cause.name] for cause in base.causes]
+
+    def judged(self, found: Hypothesis) -> Judged:
+        """Return what the causes of a hypothesis are judged by."""
+        priors = {cause.name: self.log_prior(cause) for cause in found.causes}
+        return Judged(self.problem, self.settings, priors, self.signatures_of(found))
 
     def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:
         return [self._changes[self._at_first(rival)] for rival in rivals]

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import logit
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
@@ -86,7 +86,7 @@ def evident(
 
 
 def odds_beside(
-    pool: CandidatePool, found: Hypothesis, name: str, parts: bool = False
+    pool: CandidatePool | Judged, found: Hypothesis, name: str, parts: bool = False
 ) -> tuple[float, Hypothesis]:
     """
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.

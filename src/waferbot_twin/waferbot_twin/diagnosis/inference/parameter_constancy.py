@@ -13,13 +13,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from joblib import Parallel, delayed
+
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at, odds_beside
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.refit import with_last
-from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis
@@ -27,32 +29,35 @@ from waferbot_twin.estimation.hypothesis import Hypothesis
 
 def as_sure_as_constant(pool: CandidatePool, posterior: Posterior) -> Posterior:
     """Return a posterior whose causes are no more probable than beside how their sizes vary."""
-    effects: list[SingleEffect] = []
-    for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True):
-        pool.progress('parameter constancy', len(effects), len(posterior.effects))
-        without_name = is_nuisance(effect.best.cause) or is_discrepancy(effect.best.cause)
-        effects.append(
-            effect if without_name else _judged(pool, posterior.found, cause.name, effect)
-        )
+    effects = list(posterior.effects)
+    places = [
+        place
+        for place, effect in enumerate(effects)
+        if not is_nuisance(effect.best.cause) and not is_discrepancy(effect.best.cause)
+    ]
+    found, judged = posterior.found, pool.judged(posterior.found)
+    parallel = Parallel(n_jobs=pool.workers, return_as='generator', batch_size=1)
+    every = parallel(delayed(_log_odds)(judged, found, found.causes[n].name) for n in places)
+    limit = log_odds_at(pool.settings.included_from)
+    for done, (place, odds) in enumerate(zip(places, every, strict=True), 1):
+        pool.progress('parameter constancy', done, len(places))
+        if odds is not None:
+            most = log_odds_at(effects[place].inclusion)
+            effects[place] = with_odds(effects[place], min(max(odds, limit), most))
     return replace(posterior, effects=tuple(effects))
 
 
-def _judged(
-    pool: CandidatePool, found: Hypothesis, name: str, effect: SingleEffect
-) -> SingleEffect:
+def _log_odds(judged: Judged, found: Hypothesis, name: str) -> float | None:
     """
-    Return an effect with odds that have the heterogeneity of its size in them.
+    Return ln of the odds of a cause with the heterogeneity of its size in them, the others fitted anew.
 
-    Where there is none in the linear problem, it stays as it is; else the others are fitted without it.
+    None if there is none in the linear problem, or the machine does not stand without the cause.
     """
-    problem = pool.problem
-    more = with_last(problem, found, name)
+    more = with_last(judged.problem, found, name)
     try:
-        base = without_by_linear(problem, found, name)
+        base = without_by_linear(judged.problem, found, name)
         if gain(more, base, parts=True) == gain(more, base):
-            return effect
-        odds, _ = odds_beside(pool, found, name, parts=True)
-    except UserError:  # the machine does not stand without it
-        return effect
-    limits = log_odds_at(pool.settings.included_from), log_odds_at(effect.inclusion)
-    return with_odds(effect, min(max(odds, limits[0]), limits[1]))
+            return None
+        return odds_beside(judged, found, name, parts=True)[0]
+    except UserError:
+        return None

@@ -402,10 +402,10 @@ def _ask_again(
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
     Which one it is, that is: what no other candidate can do in its place stays as it is. Whether there
-    is any is left to elimination in the end; so the model without an effect may be the one that the
-    linear problem has. Return how often was asked, too.
+    is any is left to elimination, before or, if anything is another one, in the end; so the model
+    without an effect may be the one that the linear problem has. Return how often was asked, too.
     """
-    left = most
+    left, moved = most, False
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
@@ -429,11 +429,13 @@ def _ask_again(
             again = with_odds(again, log_odds_at(effect.inclusion))
             changed |= again.best.cause.name != name
             if again.best.found is not present:
+                moved = True
                 found = _fitted_on(pool, again.best.found, again.best.found.causes)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
-    found, effects = evident(pool, found, effects)
+    if moved:  # else they have just been judged beside one another
+        found, effects = evident(pool, found, effects)
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects, most - left
