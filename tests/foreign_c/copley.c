@@ -11,8 +11,9 @@
  *
  * ENCODER is the place of the motor's encoder in `counts`; PROPORTIONAL (V) and INTEGRAL (V per tick)
  * are for a duty of 32, BUS in V, PEAK in A, RESISTANCE that of one line, ohm. In real time the newest
- * currents are answered, once, with the newest counts and command; ticks that went by are made up for in
- * the integrators, not answered. Without a command none is wanted.
+ * currents are answered, once, with the counts and the command of their tick, or the newest if these do not
+ * come within 50 ms, half of the plant's patience; ticks that went by are made up for in the integrators,
+ * not answered. Who has been silent for 2 s is not waited for; without a command none is wanted.
  */
 
 #include <math.h>
@@ -29,6 +30,8 @@
 enum { MOTORS = 3, LINES = 2, GIVEN = 7, ENCODER_TICKS = 2, SERVO_TICKS = 8 };
 
 #define DUTY 32.0
+#define PATIENCE_NS (50 * 1000 * 1000)
+#define GONE_NS (2000 * (int64_t)(1000 * 1000))
 
 typedef struct {
   double encoder, counts_per_cycle, proportional, integral, bus, peak, resistance; /* as given */
@@ -96,6 +99,11 @@ static bool all_finite(const double *values, int count) {
   return true;
 }
 
+/* Whether a message is the one that is due at a tick, or its sender is gone. */
+static bool is_due(uint64_t its_tick, uint64_t tick, uint64_t spacing, int64_t silence_ns) {
+  return its_tick >= tick / spacing * spacing || silence_ns > GONE_NS;
+}
+
 int main(int argc, char **argv) {
   const bool real_time = take_real_time(&argc, &argv);
   if (argc != 1 + GIVEN * MOTORS) {
@@ -148,9 +156,10 @@ int main(int argc, char **argv) {
   uint64_t tick = 0; /* whose voltages come next */
   bool begun = false, have_currents = false, have_counts = false, have_command = false;
   const char *refused = NULL;
-  int64_t spoke_ns = 0;
+  int64_t spoke_ns = 0, came_ns = 0, counts_ns = -GONE_NS, command_ns = -GONE_NS;
   while (!asked_to_end) {
-    wait_for_messages(&wait_set, heard, SUBSCRIPTIONS);
+    wait_for_messages(&wait_set, heard, SUBSCRIPTIONS,
+                      real_time && have_currents ? PATIENCE_NS / 10 : REPEAT_AFTER_NS);
     if (begun && now_ns() - spoke_ns >= REPEAT_AFTER_NS) { /* a sign of life */
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
@@ -165,23 +174,34 @@ int main(int argc, char **argv) {
       const bool due = real_time ? new_currents.tick >= tick : new_currents.tick == tick && !have_currents;
       if (due && new_currents.valid == 0x7) {
         currents = new_currents; /* its frame_id is empty, so nothing is shared */
+        came_ns = have_currents ? came_ns : now_ns();
         have_currents = true;
       }
     }
     while (take(&heard[ENCODERS], &new_counts)) {
       if ((real_time || (new_counts.tick == tick && !have_counts)) && new_counts.valid == 0xf) {
         counts = new_counts;
+        counts_ns = now_ns();
         have_counts = true;
       }
     }
     while (take(&heard[COMMAND], &new_command)) {
       if ((real_time || (new_command.tick == tick && !have_command)) && new_command.valid == 0x7) {
         command = new_command;
+        command_ns = now_ns();
         have_command = true;
       }
     }
-    if (have_currents && (have_counts || (!real_time && tick % ENCODER_TICKS)) &&
-        (have_command || real_time || tick % SERVO_TICKS)) {
+    bool complete = have_currents && (have_counts || tick % ENCODER_TICKS) &&
+                    (have_command || tick % SERVO_TICKS);
+    if (real_time) {
+      const int64_t now = now_ns();
+      complete = have_currents && have_counts &&
+                 (now - came_ns > PATIENCE_NS ||
+                  (is_due(counts.tick, currents.tick, ENCODER_TICKS, now - counts_ns) &&
+                   is_due(command.tick, currents.tick, SERVO_TICKS, now - command_ns)));
+    }
+    if (complete) {
       if (!all_finite(currents.current, LINES * MOTORS)) {
         refused = "phase_currents";
       } else if (!all_finite(command.current, MOTORS)) {

@@ -81,14 +81,14 @@ static rcl_wait_set_t open_wait_set(rcl_context_t *context, size_t subscriptions
   return wait_set;
 }
 
-/* Wait until one of the subscriptions has a message, or until a sign of life may be due. */
+/* Wait until one of the subscriptions has a message, or for so long. */
 static void wait_for_messages(rcl_wait_set_t *wait_set, const rcl_subscription_t *subscriptions,
-                              int count) {
+                              int count, int64_t timeout_ns) {
   check(rcl_wait_set_clear(wait_set), "wait set");
   for (int i = 0; i < count; ++i) {
     check(rcl_wait_set_add_subscription(wait_set, &subscriptions[i], NULL), "wait set");
   }
-  const rcl_ret_t waited = rcl_wait(wait_set, REPEAT_AFTER_NS);
+  const rcl_ret_t waited = rcl_wait(wait_set, timeout_ns);
   if (waited != RCL_RET_TIMEOUT) {
     check(waited, "wait");
   }

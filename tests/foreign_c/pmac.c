@@ -108,7 +108,7 @@ int main(int argc, char **argv) {
   bool begun = false;
   int64_t spoke_ns = 0;
   while (!asked_to_end) {
-    wait_for_messages(&wait_set, heard, SUBSCRIPTIONS);
+    wait_for_messages(&wait_set, heard, SUBSCRIPTIONS, REPEAT_AFTER_NS);
     /* A sign of life; also for those who were not there before. What its peers repeat, who wait as well,
        wakes this node, too: so the time since it spoke counts, not that since it heard something. */
     if (next_tick > 0 && now_ns() - spoke_ns >= REPEAT_AFTER_NS) {

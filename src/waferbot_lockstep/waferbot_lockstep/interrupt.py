@@ -38,5 +38,15 @@ class Interrupt:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
+    def ignore(self) -> None:
+        """
+        Ignore the signals from now on: the process is ending.
+
+        When Python ends it gives signals that it caught back to the system, and one that comes while the
+        libraries below end would kill the process; those that are ignored stay ignored.
+        """
+        for number in self._before:
+            signal.signal(number, signal.SIG_IGN)
+
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         self.raised = True

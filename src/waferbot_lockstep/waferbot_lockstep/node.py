@@ -748,3 +748,4 @@ def run_nodes(
             node.exchange.close()
             node.destroy_node()
         rclpy.try_shutdown()
+        interrupt.ignore()
