@@ -112,16 +112,16 @@ def check_real_time(
     """
     Run the twin in real time with a foreign peer (`--realtime`): the axes move by the step, and stay.
 
-    At a tenth of the speed, so that load does not matter. Where it `stands_still` for 0.2 s meanwhile,
-    that is counted by who hears it, and no more comes of it.
+    At a tenth of the speed, and with more patience than usual, so that load makes time slow and no more.
+    Where it `stands_still` for 0.2 s meanwhile, that is counted by who hears it, and no more comes of it.
     """
-    real_time = 'timekeeping:=realtime'
+    real_time = ('timekeeping:=realtime', 'patience_s:=1.0')
     hearer, topic = {
         'pmac': ('copley', 'current_command'),
         'copley': ('plant', 'phase_voltages'),
     }[node]
-    start_node(start, 'plant', domain, real_time, 'realtime_factor:=0.1')
-    own = {'pmac': [real_time, 'experiment:=step'], 'copley': [real_time]}
+    start_node(start, 'plant', domain, *real_time, 'realtime_factor:=0.1')
+    own = {'pmac': [*real_time, 'experiment:=step'], 'copley': [*real_time]}
     for name in own.keys() - {node}:
         start_node(start, name, domain, *own[name])
     environment = {'ROS_DOMAIN_ID': str(domain), 'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}

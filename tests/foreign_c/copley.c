@@ -12,8 +12,9 @@
  * ENCODER is the place of the motor's encoder in `counts`; PROPORTIONAL (V) and INTEGRAL (V per tick)
  * are for a duty of 32, BUS in V, PEAK in A, RESISTANCE that of one line, ohm. In real time the newest
  * currents are answered, once, with the counts and the command of their tick, or the newest if these do not
- * come within 50 ms, half of the plant's patience; ticks that went by are made up for in the integrators,
- * not answered. Who has been silent for 2 s is not waited for; without a command none is wanted.
+ * come within 0.5 s, half of the patience that the plant is given; ticks that went by are made up for in
+ * the integrators, not answered. Who has been silent for 2 s is not waited for; without a command none is
+ * wanted.
  */
 
 #include <math.h>
@@ -30,7 +31,7 @@
 enum { MOTORS = 3, LINES = 2, GIVEN = 7, ENCODER_TICKS = 2, SERVO_TICKS = 8 };
 
 #define DUTY 32.0
-#define PATIENCE_NS (50 * 1000 * 1000)
+#define PATIENCE_NS (500 * 1000 * 1000)
 #define GONE_NS (2000 * (int64_t)(1000 * 1000))
 
 typedef struct {
@@ -159,7 +160,7 @@ int main(int argc, char **argv) {
   int64_t spoke_ns = 0, came_ns = 0, counts_ns = -GONE_NS, command_ns = -GONE_NS;
   while (!asked_to_end) {
     wait_for_messages(&wait_set, heard, SUBSCRIPTIONS,
-                      real_time && have_currents ? PATIENCE_NS / 10 : REPEAT_AFTER_NS);
+                      real_time && have_currents ? PATIENCE_NS / 50 : REPEAT_AFTER_NS);
     if (begun && now_ns() - spoke_ns >= REPEAT_AFTER_NS) { /* a sign of life */
       check(rcl_publish(&publisher, &answer, NULL), "publish");
       spoke_ns = now_ns();
