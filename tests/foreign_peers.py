@@ -113,7 +113,7 @@ def check_real_time(
     Run the twin in real time with a foreign peer (`--realtime`): the axes move by the step, and stay.
 
     At a tenth of the speed, and with more patience than usual, so that load makes time slow and no more.
-    Where it `stands_still` for 0.2 s meanwhile, that is counted by who hears it, and no more comes of it.
+    Where it `stands_still` for 0.2 s meanwhile, who hears it counts that, and no more comes of it.
     """
     real_time = ('timekeeping:=realtime', 'patience_s:=1.0')
     hearer, topic = {
