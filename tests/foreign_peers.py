@@ -107,15 +107,16 @@ def check_real_time(
     log: Path,
     node: str,
     command: Sequence[str],
-    stands_still: bool,
+    patience_s: float,
+    stands_still: bool = False,
 ) -> None:
     """
     Run the twin in real time with a foreign peer (`--realtime`): the axes move by the step, and stay.
 
-    At a tenth of the speed, and with more patience than usual, so that load makes time slow and no more.
-    Where it `stands_still` for 0.2 s meanwhile, who hears it counts that, and no more comes of it.
+    At a tenth of the speed; with much `patience_s` of our nodes load makes time slow and no more. Where
+    it `stands_still` for 0.2 s meanwhile, who hears it counts that, and no more comes of it.
     """
-    real_time = ('timekeeping:=realtime', 'patience_s:=1.0')
+    real_time = ('timekeeping:=realtime', f'patience_s:={patience_s}')
     hearer, topic = {
         'pmac': ('copley', 'current_command'),
         'copley': ('plant', 'phase_voltages'),

@@ -97,13 +97,16 @@ def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
     build, start, domain, connect, tmp_path
 ):
     command = [build('pmac'), *pmac_arguments()]
-    check_real_time(start, connect(domain), domain, tmp_path / 'pmac.log', 'pmac', command, True)
+    log = tmp_path / 'pmac.log'
+    check_real_time(
+        start, connect(domain), domain, log, 'pmac', command, patience_s=0.1, stands_still=True
+    )
 
 
 def test_in_real_time_amplifiers_in_c_move_the_axes(build, start, domain, connect, tmp_path):
     command = [build('copley'), *copley_arguments()]
     log = tmp_path / 'copley.log'
-    check_real_time(start, connect(domain), domain, log, 'copley', command, False)
+    check_real_time(start, connect(domain), domain, log, 'copley', command, patience_s=1.0)
 
 
 def test_the_conformance_kit_finds_nothing_wrong_with_the_pmac(build):
