@@ -21,10 +21,11 @@ from harness import (
     start_node,
     waferbot,
 )
+from std_srvs.srv import SetBool
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import AXES, LOCKSTEP_TOPICS
-from waferbot_msgs.msg import Encoders
+from waferbot_msgs.msg import CurrentCommand, Encoders, PhaseVoltages
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.compare import differing_signals
@@ -113,15 +114,16 @@ def check_real_time(
     """
     Run the twin in real time with a foreign peer (`--realtime`): the axes move by the step, and stay.
 
-    At a tenth of the speed; with much `patience_s` of our nodes load makes time slow and no more. Where
-    it `stands_still` for 0.2 s meanwhile, who hears it counts that, and no more comes of it.
+    At a tenth of the speed; with much `patience_s` of our nodes load makes time slow and no more. Time
+    begins when all have heard each other, so that no axis falls before. Where it `stands_still` for 0.2
+    s meanwhile, who hears it counts that, and no more comes of it.
     """
     real_time = ('timekeeping:=realtime', f'patience_s:={patience_s}')
     hearer, topic = {
         'pmac': ('copley', 'current_command'),
         'copley': ('plant', 'phase_voltages'),
     }[node]
-    start_node(start, 'plant', domain, *real_time, 'realtime_factor:=0.1')
+    start_node(start, 'plant', domain, *real_time, 'realtime_factor:=0.1', 'start_paused:=true')
     own = {'pmac': [*real_time, 'experiment:=step'], 'copley': [*real_time]}
     for name in own.keys() - {node}:
         start_node(start, name, domain, *own[name])
@@ -136,6 +138,13 @@ def check_real_time(
         lambda array: told.update({one.name: one for one in array.status}),
         10,
     )
+    heard: set[str] = set()
+    for kind, name in ((CurrentCommand, 'current_command'), (PhaseVoltages, 'phase_voltages')):
+        client.node.create_subscription(kind, name, lambda _, name=name: heard.add(name), 10)
+
+    def counted(what: str) -> int:
+        values = told[f'/{hearer}: timekeeping'].values
+        return int(next(one.value for one in values if one.key == f'{topic} {what}'))
 
     def at(tick: int) -> bool:
         return bool(newest) and newest[-1].tick > tick
@@ -144,6 +153,16 @@ def check_real_time(
         return bool(np.all(np.abs(np.array(message.counts[:3]) - STEPS) < share * np.array(STEPS)))
 
     try:
+        client.spin_until(
+            lambda: (
+                newest
+                and len(heard) == 2
+                and f'/{hearer}: timekeeping' in told
+                and counted('received')
+            ),
+            'all have heard each other',
+        )
+        client.call(SetBool, 'plant/pause', SetBool.Request(data=False))
         client.spin_until(lambda: at(3000), 'time going on')
         if stands_still:
             stranger.signal(signal.SIGSTOP)
@@ -152,13 +171,12 @@ def check_real_time(
         client.spin_until(
             lambda: at(9000) and near(newest[-1], 0.02), 'the axes moved by the step'
         )
-        before, status = len(newest), f'/{hearer}: timekeeping'
-        client.spin_until(lambda: len(newest) > before + 300 and status in told, 'held')
+        before = len(newest)
+        client.spin_until(lambda: len(newest) > before + 300, 'held')
         assert all(near(one, 0.05) for one in newest[before:])
-        values = {one.key: one.value for one in told[status].values}
-        assert int(values[f'{topic} received']) > 500
-        assert int(values[f'{topic} missed']) > 0 or not stands_still
-        assert int(values[f'{topic} contradicting']) == 0
+        assert counted('received') > 500
+        assert counted('missed') > 0 or not stands_still
+        assert counted('contradicting') == 0
         assert stranger.process.poll() is None, stranger.output
     finally:
         stranger.process.terminate()

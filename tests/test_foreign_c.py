@@ -93,6 +93,7 @@ def test_with_both_of_them_only_the_plant_is_ours(build, tmp_path, start):
     check_same_bits(start, tmp_path, peers, LONG_S)
 
 
+@pytest.mark.alone  # asks for the wall clock
 def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
     build, start, domain, connect, tmp_path
 ):
@@ -103,6 +104,7 @@ def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
     )
 
 
+@pytest.mark.alone  # asks for the wall clock
 def test_in_real_time_amplifiers_in_c_move_the_axes(build, start, domain, connect, tmp_path):
     command = [build('copley'), *copley_arguments()]
     log = tmp_path / 'copley.log'

@@ -59,6 +59,7 @@ def test_a_pmac_in_rust_gives_the_same_bits_as_ours(pmac, tmp_path, start, durat
     check_same_bits(start, tmp_path, {'pmac': [pmac, *pmac_arguments()]}, duration_s, layout)
 
 
+@pytest.mark.alone  # asks for the wall clock
 def test_in_real_time_it_moves_the_axes(pmac, start, domain, connect, tmp_path):
     """Without a pause: RustDDS ends its receiving thread when SIGSTOP interrupts that."""
     command = [pmac, *pmac_arguments()]

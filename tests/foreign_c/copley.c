@@ -13,8 +13,8 @@
  * are for a duty of 32, BUS in V, PEAK in A, RESISTANCE that of one line, ohm. In real time the newest
  * currents are answered, once, with the counts and the command of their tick, or the newest if these do not
  * come within 0.5 s, half of the patience that the plant is given; ticks that went by are made up for in
- * the integrators, not answered. Who has been silent for 2 s is not waited for; without a command none is
- * wanted.
+ * the integrators, not answered. Who has been silent for 2 s is not waited for, but the first command is:
+ * it enables the amplifiers.
  */
 
 #include <math.h>
@@ -33,6 +33,7 @@ enum { MOTORS = 3, LINES = 2, GIVEN = 7, ENCODER_TICKS = 2, SERVO_TICKS = 8 };
 #define DUTY 32.0
 #define PATIENCE_NS (500 * 1000 * 1000)
 #define GONE_NS (2000 * (int64_t)(1000 * 1000))
+#define NEVER INT64_MIN
 
 typedef struct {
   double encoder, counts_per_cycle, proportional, integral, bus, peak, resistance; /* as given */
@@ -157,7 +158,7 @@ int main(int argc, char **argv) {
   uint64_t tick = 0; /* whose voltages come next */
   bool begun = false, have_currents = false, have_counts = false, have_command = false;
   const char *refused = NULL;
-  int64_t spoke_ns = 0, came_ns = 0, counts_ns = -GONE_NS, command_ns = -GONE_NS;
+  int64_t spoke_ns = 0, came_ns = 0, counts_ns = -GONE_NS, command_ns = NEVER;
   while (!asked_to_end) {
     wait_for_messages(&wait_set, heard, SUBSCRIPTIONS,
                       real_time && have_currents ? PATIENCE_NS / 50 : REPEAT_AFTER_NS);
@@ -197,7 +198,7 @@ int main(int argc, char **argv) {
                     (have_command || tick % SERVO_TICKS);
     if (real_time) {
       const int64_t now = now_ns();
-      complete = have_currents && have_counts &&
+      complete = have_currents && have_counts && command_ns != NEVER &&
                  (now - came_ns > PATIENCE_NS ||
                   (is_due(counts.tick, currents.tick, ENCODER_TICKS, now - counts_ns) &&
                    is_due(command.tick, currents.tick, SERVO_TICKS, now - command_ns)));
