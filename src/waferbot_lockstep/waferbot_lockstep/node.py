@@ -57,6 +57,7 @@ from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
+from waferbot_lockstep.ros_security import refusals_told
 from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.transport import choose_transport
@@ -729,13 +730,14 @@ def run_nodes(
     choose_transport()
     interrupt = Interrupt()
     ensure_log_folder()
-    rclpy.init(
-        args=None if arguments is None else list(arguments),
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
     nodes: Sequence[LockstepNode] = []
     try:
-        nodes = make_nodes()
+        with refusals_told():
+            rclpy.init(
+                args=None if arguments is None else list(arguments),
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+            nodes = make_nodes()
         spin_until_done(nodes, interrupt)
         for node in nodes:
             node.take_leave(interrupt)

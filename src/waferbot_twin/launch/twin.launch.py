@@ -6,6 +6,7 @@ Launch the twin: plant, PMAC and Copley, each its own node, running until stoppe
     ros2 launch waferbot_twin twin.launch.py model:=rigid copley_per_axis:=true
     ros2 launch waferbot_twin twin.launch.py without:=pmac      # then start your own controller
     ros2 launch waferbot_twin twin.launch.py experiment:=step record:=runs/first
+    ros2 launch waferbot_twin twin.launch.py secure:=keystore    # of `waferbot secure`
     ros2 action send_goal /run_experiment waferbot_msgs/action/RunExperiment "{experiment: step}"
 
 With a namespace everything of the twin is in it, its clock and transforms as well, so that several twins
@@ -13,8 +14,17 @@ live beside each other. Tools that follow the time of one need
 `--ros-args -r /clock:=/NAMESPACE/clock`.
 """
 
+import os
+from pathlib import Path
+
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
+from launch.actions import (
+    DeclareLaunchArgument,
+    LogInfo,
+    OpaqueFunction,
+    SetEnvironmentVariable,
+    Shutdown,
+)
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -23,6 +33,7 @@ from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
 from waferbot_twin.models import load_model
+from waferbot_twin.security import enclave_of, environment_of
 
 TO_LEAVE_S = '15'
 """Wall time to leave in after SIGINT: nodes stay until heard, a recorder until all is written."""
@@ -62,6 +73,11 @@ ARGUMENTS = (
     ),
     DeclareLaunchArgument('namespace', default_value='', description='namespace of all nodes'),
     DeclareLaunchArgument(
+        'secure',
+        default_value='',
+        description='keystore that `waferbot secure` made: who has no key there does not take part',
+    ),
+    DeclareLaunchArgument(
         'state_publisher',
         default_value='auto',
         choices=['auto', 'true', 'false'],
@@ -99,23 +115,38 @@ def make_nodes(context):
         raise RuntimeError(f'without: no node {", ".join(unknown)}; nodes: {", ".join(nodes)}')
     machine = load_machine(parameters['plant'].get('description', 'rigid'))
     return [
-        *state_publisher(argument['state_publisher'], argument['namespace'], machine),
+        *security(argument['secure']),
+        *state_publisher(argument, machine),
         *recorder(argument),
         *(
-            twin_node(kind, name, argument['namespace'], [own, common, extra])
+            twin_node(kind, name, argument, [own, common, extra])
             for name, (kind, own, extra) in nodes.items()
             if name not in without
         ),
     ]
 
 
-def twin_node(kind, name, namespace, parameters):
+def security(keystore):
+    """Return what lets only those take part who have a key in a keystore, if there is one."""
+    if not keystore:
+        return []
+    environment = environment_of(Path(keystore), int(os.environ.get('ROS_DOMAIN_ID') or 0))
+    return [SetEnvironmentVariable(*one) for one in environment.items()]
+
+
+def enclave(argument, kind):
+    """Return the arguments of ROS by which a node has its key."""
+    return ['--enclave', enclave_of(kind)] if argument['secure'] else []
+
+
+def twin_node(kind, name, argument, parameters):
     """Return a node of the twin."""
     return Node(
         package=f'waferbot_{kind}',
         executable=kind,
         name=name,
-        namespace=namespace,
+        namespace=argument['namespace'],
+        ros_arguments=enclave(argument, kind),
         output='screen',
         emulate_tty=True,
         sigterm_timeout=TO_LEAVE_S,
@@ -137,6 +168,7 @@ def recorder(argument):
             package='waferbot_twin',
             executable='recorder',
             namespace=argument['namespace'],
+            ros_arguments=enclave(argument, 'recorder'),
             output='screen',
             sigterm_timeout=TO_LEAVE_S,
             on_exit=Shutdown(reason='the recorder has ended'),
@@ -148,12 +180,13 @@ def recorder(argument):
     ]
 
 
-def state_publisher(wanted, namespace, machine):
+def state_publisher(argument, machine):
     """
     Return robot_state_publisher for the machine, or what to say where it lacks.
 
     It is looked for before anything is started: a launch that fails halfway leaves its nodes behind.
     """
+    wanted = argument['state_publisher']
     if wanted == 'false':
         return []
     try:
@@ -167,7 +200,8 @@ def state_publisher(wanted, namespace, machine):
         Node(
             package='robot_state_publisher',
             executable='robot_state_publisher',
-            namespace=namespace,
+            namespace=argument['namespace'],
+            ros_arguments=enclave(argument, 'robot_state_publisher'),
             parameters=[{'robot_description': urdf(machine.description), 'use_sim_time': True}],
             remappings=[('/clock', 'clock'), ('/tf', 'tf'), ('/tf_static', 'tf_static')],
         )

@@ -28,6 +28,7 @@ from waferbot_lockstep.interrupt import Interrupt
 from waferbot_lockstep.node import SIGN_OF_LIFE_PERIOD_S, make_executor
 from waferbot_lockstep.node_settings import REALTIME
 from waferbot_lockstep.ros_logs import ensure_log_folder
+from waferbot_lockstep.ros_security import refusals_told
 from waferbot_lockstep.transport import choose_transport
 from waferbot_twin.plan import make_plan
 from waferbot_twin.recording.completeness import close_complete, reported
@@ -61,7 +62,8 @@ def record(options: argparse.Namespace, arguments: Sequence[str]) -> str:
     with contextlib.ExitStack() as stack:
         interrupt = stack.enter_context(Interrupt())
         ensure_log_folder()
-        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
+        with refusals_told():
+            rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         attachments = plan.attachments('recorder', without)
         writer = stack.enter_context(
@@ -69,20 +71,22 @@ def record(options: argparse.Namespace, arguments: Sequence[str]) -> str:
         )
         lockstep = options.timekeeping != REALTIME
         validity = Validity(plan.model, plan.timing)
-        recorder = Recorder(
-            writer,
-            plan.timing,
-            reported(without),
-            clock_needed=lockstep and 'plant' not in without,
-            validity=validity,
-        )
+        with refusals_told():
+            recorder = Recorder(
+                writer,
+                plan.timing,
+                reported(without),
+                clock_needed=lockstep and 'plant' not in without,
+                validity=validity,
+            )
         stack.callback(recorder.destroy_node)
         executor = make_executor()
         executor.add_node(recorder)
         stack.callback(executor.shutdown, 0.0)
         stack.callback(executor.remove_node, recorder)
-        recorder.begin()
-        release = recorder.create_client(SetBool, 'plant/pause')
+        with refusals_told():
+            recorder.begin()
+            release = recorder.create_client(SetBool, 'plant/pause')
         released = False
         while not (interrupt.raised or recorder.stop_reason or recorder.failure):
             recorder.exchange.serve(executor, SIGN_OF_LIFE_PERIOD_S)

@@ -56,7 +56,7 @@ def new_table(*headings: str, text: Collection[str] = ()) -> Table:
     for place, heading in enumerate(headings):
         table.add_column(
             heading,
-            justify='right' if place else 'left',
+            justify='right' if place and heading not in text else 'left',
             no_wrap=bool(place) and heading not in text,
         )
     return table

@@ -53,6 +53,7 @@ COMMANDS = {
     'export-fmu': 'export_fmu',
     'export-model': 'export_model',
     'import-urdf': 'import_urdf',
+    'secure': 'secure',
     'modes': 'modes',
     'verify': 'verify',
     'demo': 'demo',

@@ -1,0 +1,301 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A twin in which only those take part who have a key: policy, keystore, an intruder."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from harness import Client, parameter_files, start_node, user_environment, waferbot
+
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.node import lockstep_qos
+from waferbot_msgs.msg import Encoders, Stop
+from waferbot_twin.security import (
+    ENCLAVES,
+    ROLES,
+    SIMULATOR,
+    enclave_of,
+    environment_of,
+    make_keystore,
+    policy,
+)
+
+NODES = ('plant', 'pmac', 'copley')
+ASKED_OF_AN_ACTION = ('cancel_goal', 'get_result', 'send_goal')
+NO_SECURITY = "doesn't have the security libraries"
+"""What the middleware says that was built without."""
+
+
+def allowed(name, namespace='/'):
+    """Return what a policy allows an enclave, by element and attribute: full names."""
+    root = ElementTree.fromstring(policy(namespace))
+    (profile,) = root.iterfind(f"./enclaves/enclave[@path='{ENCLAVES}/{name}']/profiles/profile")
+    base = profile.get('ns').rstrip('/')
+    found = {}
+    for group in profile:
+        ((leave, rule),) = group.attrib.items()
+        assert rule == 'ALLOW'
+        names = [one.text for one in group]
+        assert len(names) == len(set(names)), f'{name} may {leave} something twice'
+        found[group.tag, leave] = {
+            one if one.startswith('/') else f'{base}/{one}' for one in names
+        }
+    return found
+
+
+@pytest.mark.slow
+def test_every_node_may_do_what_it_does_and_no_more(start, domain, connect):
+    """The graph of a running twin against the policy."""
+    client = connect(domain)
+    for node in NODES:
+        start_node(start, node, domain, 'timekeeping:=realtime', 'startup_timeout_s:=600.0')
+    begun = {f'/{node}/get_parameters' for node in NODES}
+    client.spin_until(
+        lambda: begun <= {name for name, _ in client.node.get_service_names_and_types()},
+        'all nodes',
+    )
+    heard = []
+    client.node.create_subscription(Encoders, 'encoders', heard.append, 1)
+    client.spin_until(lambda: heard and heard[-1].tick > 100, 'time going on')
+
+    def does(node, what):
+        ask = getattr(client.node, f'get_{what}_names_and_types_by_node')
+        return {name for name, _ in ask(node, '/')}
+
+    # where one records, and where ROS has the package simulation_interfaces
+    may_be_there = {'/recorded', *(f'/plant/{name}' for name in SIMULATOR)}
+    for node in NODES:
+        may = allowed(node)
+        for action in may.get(('actions', 'execute'), ()):
+            parts = {'topics': ('feedback', 'status'), 'services': ASKED_OF_AN_ACTION}
+            for (tag, leave), names in may.items():
+                if leave in ('publish', 'reply'):
+                    names |= {f'{action}/_action/{part}' for part in parts[tag]}
+        own = {name for name in may['services', 'reply'] if not name.startswith('/copley_')}
+        for what, names in (
+            ('publisher', may['topics', 'publish']),
+            ('subscriber', may['topics', 'subscribe']),
+            ('service', own),
+        ):
+            assert does(node, what) - names == set(), node
+            assert names - does(node, what) - may_be_there == set(), node
+
+
+def test_only_the_plant_gives_counts_and_only_a_controller_commands():
+    says = {name: allowed(name)['topics', 'publish'] for name in ROLES}
+    for topic, who in (
+        ('/encoders', 'plant'),
+        ('/phase_currents', 'plant'),
+        ('/current_command', 'pmac'),
+        ('/phase_voltages', 'copley'),
+        ('/clock', 'plant'),
+    ):
+        assert [name for name in ROLES if topic in says[name]] == [who]
+    assert '/stop' not in says['observer'] | says['operator']
+    assert '/plant/pause' not in allowed('observer')['services', 'request']
+    assert ('actions', 'call') not in allowed('observer')
+
+
+def test_a_twin_in_a_namespace_has_its_names_there():
+    may = allowed('copley', '/left')
+    assert '/left/phase_voltages' in may['topics', 'publish']
+    assert '/left/copley_x_rotate/reset_faults' in may['services', 'reply']
+    assert {'/rosout', '/diagnostics'} <= may['topics', 'publish']
+
+
+@pytest.mark.parametrize(
+    ('script', 'said'),
+    [(None, 'no ros2 command'), ('echo "no such verb: security" >&2; exit 2', 'no such verb')],
+)
+def test_without_sros2_nothing_is_left_and_the_user_is_told(tmp_path, monkeypatch, script, said):
+    programs = tmp_path / 'bin'
+    programs.mkdir()
+    if script:
+        (programs / 'ros2').write_text(f'#!/bin/sh\n{script}\n')
+        (programs / 'ros2').chmod(0o755)
+    monkeypatch.setenv('PATH', str(programs))
+    with pytest.raises(UserError, match=said):
+        make_keystore(tmp_path / 'made' / 'keystore', 7)
+    assert not list(tmp_path.glob('made/*'))
+    assert not list(tmp_path.glob('made/.*'))
+
+
+def test_a_keystore_is_not_replaced(tmp_path):
+    (tmp_path / 'precious').write_text('key')
+    with pytest.raises(UserError, match='exists already'):
+        make_keystore(tmp_path, 7)
+    assert (tmp_path / 'precious').read_text() == 'key'
+
+
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (('--domain', '233'), 'must be 0 to 232'),
+        (('--namespace', 'left hand'), 'no name of a ROS namespace'),
+    ],
+)
+def test_a_wrong_option_is_said(tmp_path, words, said):
+    done = waferbot('secure', '--out', str(tmp_path / 'keystore'), *words)
+    assert done.returncode == 1
+    assert said in done.stderr
+
+
+@pytest.fixture
+def bare(tmp_path):
+    """A folder with the files of a keystore by which it is looked at."""
+    for name in ROLES:
+        folder = tmp_path / 'enclaves' / 'waferbot' / name
+        folder.mkdir(parents=True)
+        (folder / 'permissions.p7s').write_text('')
+    (tmp_path / 'enclaves' / 'governance.xml').write_text(
+        '<dds><domains><id>7</id></domains></dds>'
+    )
+    return tmp_path
+
+
+def test_the_environment_of_a_keystore_admits_nobody_else(bare):
+    found = environment_of(bare, 7)
+    assert found['ROS_SECURITY_ENABLE'] == 'true'
+    assert found['ROS_SECURITY_STRATEGY'] == 'Enforce'
+    assert Path(found['ROS_SECURITY_KEYSTORE']) == bare
+
+
+def test_a_keystore_for_another_domain_or_another_robot_is_refused(bare):
+    with pytest.raises(UserError, match='is for ROS domain 7, and ROS_DOMAIN_ID is 8'):
+        environment_of(bare, 8)
+    (bare / 'enclaves' / 'governance.xml').write_text('<dds><domains>')
+    with pytest.raises(UserError, match='cannot be read'):
+        environment_of(bare, 7)
+    shutil.rmtree(bare / 'enclaves' / 'waferbot' / 'copley')
+    with pytest.raises(UserError, match='no enclave /waferbot/copley'):
+        environment_of(bare, 7)
+
+
+@pytest.mark.parametrize(
+    'program',
+    [
+        ('waferbot_plant.node', '--ros-args'),
+        ('waferbot_twin.record', 'run', '--model=rigid', '--experiment=step', '--ros-args'),
+    ],
+    ids=['plant', 'recorder'],
+)
+def test_a_node_without_an_enclave_says_so_in_a_line(start, bare, tmp_path, program):
+    one = start(
+        *program, '--enclave', '/waferbot/nobody', ROS_DOMAIN_ID='7', **environment_of(bare, 7)
+    )
+    assert one.wait() == 1
+    assert 'with ROS_SECURITY_ENABLE=true ROS refuses this process' in one.output
+    assert 'nobody' in one.output
+    assert 'Traceback' not in one.output
+
+
+# ---- with sros2 ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def keystore_at(domain):
+    """Give a function that makes a keystore for the test's domain."""
+    probe = ['ros2', 'security', '--help']
+    if shutil.which('ros2') is None or subprocess.run(probe, capture_output=True).returncode:
+        pytest.skip('there is no `ros2 security` (sros2)')
+
+    def make(path):
+        done = waferbot('secure', '--out', str(path), '--domain', str(domain))
+        assert done.returncode == 0, done.stderr
+        return path
+
+    return make
+
+
+@pytest.mark.slow
+def test_the_authority_has_signed_what_each_may_do(keystore_at, domain, tmp_path):
+    keystore = keystore_at(tmp_path / 'keystore')
+    assert keystore.stat().st_mode & 0o777 == 0o700
+    assert [one.name for one in tmp_path.iterdir()] == ['keystore']
+    for name in ROLES:
+        folder = keystore / 'enclaves' / 'waferbot' / name
+        signed = subprocess.run(
+            ['openssl', 'smime', '-verify', '-in', folder / 'permissions.p7s',
+             '-CAfile', folder / 'permissions_ca.cert.pem'],
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert signed.returncode == 0, signed.stderr
+        root = ElementTree.fromstring(signed.stdout.partition('\n\n')[2])
+        assert {one.text for one in root.iter('id')} == {str(domain)}
+        said = {one.text for one in root.iterfind('.//allow_rule/publish/topics/topic')}
+        assert ('rt/current_command' in said) == (name == 'pmac')
+        assert root.findtext('.//default') == 'DENY'
+    environment_of(keystore, domain)
+
+
+@pytest.fixture
+def join(domain, monkeypatch):
+    """Give a function that joins the domain as a client with a key, or without one."""
+    clients = []
+
+    def enter(keystore=None, role=''):
+        with monkeypatch.context() as own:
+            if keystore is not None:
+                for name, value in environment_of(keystore, domain).items():
+                    own.setenv(name, value)
+                own.setenv('ROS_SECURITY_ENCLAVE_OVERRIDE', enclave_of(role))
+            clients.append(Client(domain))
+        return clients[-1]
+
+    yield enter
+    for client in clients:
+        client.end()
+
+
+@pytest.mark.slow
+def test_who_has_no_key_of_this_keystore_sees_nothing_and_stops_nothing(
+    keystore_at, start, domain, join, tmp_path
+):
+    keystore, forged = keystore_at(tmp_path / 'keystore'), keystore_at(tmp_path / 'forged')
+    secured = environment_of(keystore, domain)
+    probe = subprocess.run(
+        [sys.executable, '-c', 'import rclpy; rclpy.init(); rclpy.create_node("probe")'],
+        capture_output=True, text=True,
+        env={**user_environment(), **secured, 'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave_of('observer')},
+    )  # fmt: skip
+    if NO_SECURITY in probe.stderr:
+        pytest.skip('the middleware is built without security')
+    nodes = [
+        start(
+            f'waferbot_{node}.node', '--ros-args', *parameter_files(node),
+            '--enclave', enclave_of(node), '-p', 'startup_timeout_s:=600.0',
+            ROS_DOMAIN_ID=str(domain), **secured,
+        )
+        for node in NODES
+    ]  # fmt: skip
+    observer = join(keystore, 'observer')
+    newest = []
+    observer.node.create_subscription(Encoders, 'encoders', newest.append, 1)
+    observer.spin_until(lambda: newest and newest[-1].tick > 100, 'an observer hearing the twin')
+
+    intruders = [join(), join(forged, 'pmac')]
+    heard, seen = [], set()
+    for intruder in intruders:
+        intruder.node.create_subscription(Encoders, 'encoders', heard.append, lockstep_qos())
+        stop = intruder.node.create_publisher(Stop, 'stop', lockstep_qos())
+        reason = Stop(tick=10**6, node='/pmac', reason='the intruder says so')
+        intruder.node.create_timer(0.1, lambda stop=stop, reason=reason: stop.publish(reason))
+    until = newest[-1].tick + 2000
+
+    def all_go_on():
+        for intruder in intruders:
+            intruder.executor.spin_once(timeout_sec=0.0)
+            seen.update(name for name, _ in intruder.node.get_topic_names_and_types())
+        return newest[-1].tick > until
+
+    observer.spin_until(all_go_on, 'the twin going on')
+    assert heard == []
+    assert '/phase_currents' not in seen
+    assert [node.process.poll() for node in nodes] == [None] * 3
+    with pytest.raises(Exception, match=r'(?i)publisher'):  # an observer has a key, and no say
+        observer.node.create_publisher(Stop, 'stop', lockstep_qos())
