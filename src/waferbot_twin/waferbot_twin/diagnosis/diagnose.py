@@ -186,10 +186,10 @@ def diagnose(
     extension = extension_that_wins(
         nominal,
         named,
+        estimation,
         validation,
         settings.tolerated_loss,
-        prediction.log_ratio,
-        judged.confirmed,
+        {one.best.cause.name: one.log_odds for one in posterior.effects},
     )
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)

@@ -22,8 +22,8 @@ NO_CONTROLLER = (
 )
 
 LOSES = (
-    'in closed loop the extended model is further from the validation data than the nominal '
-    'one, though they confirm each of its causes: something is missing that these depend on'
+    'in closed loop the extended model is further from the logs than the nominal one, and none of '
+    'its causes alone is to blame: something is missing that these depend on'
 )
 
 
@@ -37,7 +37,7 @@ def refuted(cause: Cause) -> str:
 
 def worse_with(cause: Cause) -> str:
     """Say that the extended model is better in closed loop without a cause."""
-    better = 'the extended model is nearer to the validation data without it'
+    better = 'in closed loop the extended model is nearer to the logs without it'
     return f'{title(cause)} was withdrawn: {better}'
 
 

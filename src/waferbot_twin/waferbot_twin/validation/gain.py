@@ -64,14 +64,24 @@ class AxisGain:
         return performance_improvement(self.rms_before, self.rms_after)
 
     @property
-    def mean_square_ratio(self) -> float:
-        """
-        Mean square error of the extended model over that of the nominal one.
+    def mean_square_before(self) -> float:
+        """Mean square error of the nominal model, with that of rounding."""
+        return self.rms_before**2 + self._rounding
 
-        Both with the variance r^2 / 12 of readings in steps of r: less than that is no error.
-        """
-        rounding = self.resolution**2 / 12.0
-        return (self.rms_after**2 + rounding) / (self.rms_before**2 + rounding)
+    @property
+    def mean_square_after(self) -> float:
+        """Mean square error of the extended model, with that of rounding."""
+        return self.rms_after**2 + self._rounding
+
+    @property
+    def mean_square_ratio(self) -> float:
+        """Mean square error of the extended model over that of the nominal one."""
+        return self.mean_square_after / self.mean_square_before
+
+    @property
+    def _rounding(self) -> float:
+        """The variance r^2 / 12 of readings in steps of r: less than that is no error."""
+        return self.resolution**2 / 12.0
 
 
 def gains(nominal: Variant, extended: Variant, records: Sequence[Record]) -> list[AxisGain]:

@@ -40,7 +40,7 @@ class Settings:
 
     refutation_level   likelihood ratio, with a cause over without, below which the validation data
                        refute it: at most the probability that they refute a true one
-    tolerated_loss     rise of the mean square error in the validation data (1 % in RMS) up to which an
+    tolerated_loss     rise of the mean square error in closed loop (1 % in RMS) up to which an
                        extension does not lose
 
     Raises `UserError` for a value out of its range.

@@ -70,6 +70,13 @@ class SingleEffect:
         """The probability that there is such an effect at all."""
         return 1.0 - self.none
 
+    @property
+    def log_odds(self) -> float:
+        """Ln of the odds that there is such an effect at all; infinite where none is impossible."""
+        if not self.none:
+            return math.inf
+        return math.log(self.inclusion / self.none) if self.inclusion else -math.inf
+
     def credible_set(self, level: float) -> tuple[Member, ...]:
         """Return the fewest candidates that hold the effect with this probability, if there is one."""
         total, chosen = 0.0, []
