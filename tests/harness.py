@@ -35,6 +35,9 @@ LONG_PATIENCE_S = 3000.0
 """The same for a command that works for long, as a diagnosis does; 800 s were too few beside others."""
 
 
+ROS2 = [sys.executable, '-c', 'import sys; from ros2cli.cli import main; sys.exit(main())']
+"""`ros2` of this Python: another one may be on the path."""
+
 _LIBC = ctypes.CDLL(None)
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -226,7 +229,7 @@ def start_node(
 class Client:
     """A ROS 2 node that knows rclpy and the messages, and nothing else of waferbot."""
 
-    def __init__(self, domain: int) -> None:
+    def __init__(self, domain: int, name: str = 'test_client') -> None:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
@@ -234,7 +237,7 @@ class Client:
         choose_transport()
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain)
-        self.node = Node('test_client', context=self.context)
+        self.node = Node(name, context=self.context)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 

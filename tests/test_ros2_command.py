@@ -7,11 +7,10 @@ import importlib.util
 import re
 import signal
 import subprocess
-import sys
 
 import numpy as np
 import pytest
-from harness import PATIENCE_S, Program, user_environment
+from harness import PATIENCE_S, ROS2, Program, user_environment
 
 from waferbot_lockstep.contract import CONTRACT_TOPICS
 from waferbot_msgs.msg import Encoders
@@ -24,9 +23,6 @@ pytestmark = [
         reason='this Python has no ros2cli and ros2launch',
     ),
 ]
-
-ROS2 = [sys.executable, '-c', 'import sys; from ros2cli.cli import main; sys.exit(main())']
-"""`ros2` of this Python: another one may be on the path."""
 
 
 @pytest.fixture

@@ -107,6 +107,7 @@ def torque_of_gravity(axis):
 
 
 @pytest.mark.slow
+@pytest.mark.alone  # controllers keep wall time
 def test_a_controller_lets_time_go_holds_the_weight_and_moves_the_axes(
     twin, controllers, connect, domain
 ):
@@ -142,6 +143,7 @@ def test_a_controller_lets_time_go_holds_the_weight_and_moves_the_axes(
 
 
 @pytest.mark.slow
+@pytest.mark.alone  # controllers keep wall time
 def test_without_commands_the_currents_are_zero_and_that_is_said(twin, controllers):
     program = controllers()
     twin.wait_for(lambda: twin.tick > 900 and np.any(twin.current != 0.0), 'time going on')
@@ -159,6 +161,7 @@ def test_without_commands_the_currents_are_zero_and_that_is_said(twin, controlle
 
 
 @pytest.mark.slow
+@pytest.mark.alone  # controllers keep wall time
 def test_in_lockstep_it_says_what_it_needs(start, domain):
     bridge = start('waferbot_twin.ros2_control.bridge', ROS_DOMAIN_ID=str(domain))
     assert bridge.wait() == 1

@@ -3,14 +3,24 @@
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from harness import Client, parameter_files, start_node, user_environment, waferbot
+from harness import (
+    ROS2,
+    Client,
+    Program,
+    parameter_files,
+    start_node,
+    user_environment,
+    waferbot,
+)
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.node import lockstep_qos
@@ -244,7 +254,7 @@ def join(domain, monkeypatch):
                 for name, value in environment_of(keystore, domain).items():
                     own.setenv(name, value)
                 own.setenv('ROS_SECURITY_ENCLAVE_OVERRIDE', enclave_of(role))
-            clients.append(Client(domain))
+            clients.append(Client(domain, role or 'stranger'))
         return clients[-1]
 
     yield enter
@@ -252,27 +262,50 @@ def join(domain, monkeypatch):
         client.end()
 
 
+@pytest.fixture(params=['by hand', 'launched'])
+def run_secured(request, start, domain, tmp_path):
+    """Give a function that starts a twin with a keystore, and returns its processes."""
+    launched = []
+
+    def run(keystore):
+        if request.param == 'launched':
+            if importlib.util.find_spec('ros2launch') is None:
+                pytest.skip('this Python has no ros2launch')
+            command = [*ROS2, 'launch', 'waferbot_twin', 'twin.launch.py', f'secure:={keystore}']
+            log = tmp_path / 'launch.log'
+            launched.append(Program(command, log, {'ROS_DOMAIN_ID': str(domain)}))
+            return launched
+        return [
+            start(
+                f'waferbot_{node}.node', '--ros-args', *parameter_files(node),
+                '--enclave', enclave_of(node), '-p', 'startup_timeout_s:=600.0',
+                ROS_DOMAIN_ID=str(domain), **environment_of(keystore, domain),
+            )
+            for node in NODES
+        ]  # fmt: skip
+
+    yield run
+    for program in launched:
+        program.signal(signal.SIGINT)
+        program.wait()
+
+
 @pytest.mark.slow
 def test_who_has_no_key_of_this_keystore_sees_nothing_and_stops_nothing(
-    keystore_at, start, domain, join, tmp_path
+    keystore_at, run_secured, domain, join, tmp_path
 ):
     keystore, forged = keystore_at(tmp_path / 'keystore'), keystore_at(tmp_path / 'forged')
-    secured = environment_of(keystore, domain)
     probe = subprocess.run(
         [sys.executable, '-c', 'import rclpy; rclpy.init(); rclpy.create_node("probe")'],
         capture_output=True, text=True,
-        env={**user_environment(), **secured, 'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave_of('observer')},
+        env={
+            **user_environment(), **environment_of(keystore, domain),
+            'ROS_SECURITY_ENCLAVE_OVERRIDE': enclave_of('observer'),
+        },
     )  # fmt: skip
     if NO_SECURITY in probe.stderr:
         pytest.skip('the middleware is built without security')
-    nodes = [
-        start(
-            f'waferbot_{node}.node', '--ros-args', *parameter_files(node),
-            '--enclave', enclave_of(node), '-p', 'startup_timeout_s:=600.0',
-            ROS_DOMAIN_ID=str(domain), **secured,
-        )
-        for node in NODES
-    ]  # fmt: skip
+    programs = run_secured(keystore)
     observer = join(keystore, 'observer')
     newest = []
     observer.node.create_subscription(Encoders, 'encoders', newest.append, 1)
@@ -296,6 +329,6 @@ def test_who_has_no_key_of_this_keystore_sees_nothing_and_stops_nothing(
     observer.spin_until(all_go_on, 'the twin going on')
     assert heard == []
     assert '/phase_currents' not in seen
-    assert [node.process.poll() for node in nodes] == [None] * 3
+    assert all(program.process.poll() is None for program in programs)
     with pytest.raises(Exception, match=r'(?i)publisher'):  # an observer has a key, and no say
         observer.node.create_publisher(Stop, 'stop', lockstep_qos())
