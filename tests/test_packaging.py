@@ -53,8 +53,8 @@ Imported where they are there; who uses `sweep`, `--cluster`, `--plant` or has l
 them.
 """
 
-NOT_IMPORTED = {'robot_state_publisher'}
-"""Started by the launch file."""
+NOT_IMPORTED = {'robot_state_publisher', 'sros2'}
+"""Started by the launch file, and by `waferbot secure`."""
 
 DISTRIBUTIONS = {'yaml': 'pyyaml'}
 

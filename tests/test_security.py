@@ -64,36 +64,49 @@ def test_every_node_may_do_what_it_does_and_no_more(start, domain, connect):
     client = connect(domain)
     for node in NODES:
         start_node(start, node, domain, 'timekeeping:=realtime', 'startup_timeout_s:=600.0')
-    begun = {f'/{node}/get_parameters' for node in NODES}
-    client.spin_until(
-        lambda: begun <= {name for name, _ in client.node.get_service_names_and_types()},
-        'all nodes',
-    )
-    heard = []
-    client.node.create_subscription(Encoders, 'encoders', heard.append, 1)
-    client.spin_until(lambda: heard and heard[-1].tick > 100, 'time going on')
-
-    def does(node, what):
-        ask = getattr(client.node, f'get_{what}_names_and_types_by_node')
-        return {name for name, _ in ask(node, '/')}
-
     # where one records, and where ROS has the package simulation_interfaces
     may_be_there = {'/recorded', *(f'/plant/{name}' for name in SIMULATOR)}
-    for node in NODES:
-        may = allowed(node)
-        for action in may.get(('actions', 'execute'), ()):
-            parts = {'topics': ('feedback', 'status'), 'services': ASKED_OF_AN_ACTION}
-            for (tag, leave), names in may.items():
-                if leave in ('publish', 'reply'):
-                    names |= {f'{action}/_action/{part}' for part in parts[tag]}
-        own = {name for name in may['services', 'reply'] if not name.startswith('/copley_')}
-        for what, names in (
-            ('publisher', may['topics', 'publish']),
-            ('subscriber', may['topics', 'subscribe']),
-            ('service', own),
-        ):
-            assert does(node, what) - names == set(), node
-            assert names - does(node, what) - may_be_there == set(), node
+    may = {node: names_of(node) for node in NODES}
+
+    def done():
+        """Return what each node does by now, as far as it has been discovered."""
+        there = set(client.node.get_node_names()) & may.keys()
+        return {
+            (node, what): {
+                name
+                for name, _ in getattr(client.node, f'get_{what}_names_and_types_by_node')(
+                    node, '/'
+                )
+            }
+            for node in there
+            for what in may[node]
+        }
+
+    def all_discovered():
+        seen = done()
+        return all(
+            names - may_be_there <= seen.get((node, what), set())
+            for node in NODES
+            for what, names in may[node].items()
+        )
+
+    client.spin_until(all_discovered, 'all that the policy allows')
+    for (node, what), names in done().items():
+        assert names - may[node][what] == set(), node
+
+
+def names_of(node):
+    """Return what the policy allows a node of ours, by what ROS calls its parts: full names."""
+    may = allowed(node)
+    says, gives = set(may['topics', 'publish']), set(may['services', 'reply'])
+    for action in may.get(('actions', 'execute'), ()):
+        says |= {f'{action}/_action/{part}' for part in ('feedback', 'status')}
+        gives |= {f'{action}/_action/{part}' for part in ASKED_OF_AN_ACTION}
+    return {
+        'publisher': says,
+        'subscriber': may['topics', 'subscribe'],
+        'service': {name for name in gives if not name.startswith('/copley_')},
+    }
 
 
 def test_only_the_plant_gives_counts_and_only_a_controller_commands():
