@@ -531,6 +531,26 @@ def test_a_node_that_cannot_start_ends_the_run_with_its_reason(start, tmp_path):
     assert children_of(program.process.pid) == []
 
 
+NEVER_ENDS = """
+import atexit, signal, sys, time
+if 'waferbot_copley.node' in sys.orig_argv:
+    atexit.register(time.sleep, 1e6)
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+"""
+
+
+def test_a_node_that_never_ends_is_killed_once_all_is_recorded(start, tmp_path):
+    """As foreign code in an FMU may do."""
+    (tmp_path / 'sitecustomize.py').write_text(NEVER_ENDS, 'utf-8')
+    path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get('PYTHONPATH')])])
+    run = ['run', '--duration', '0.01', '--out', str(tmp_path / 'run')]
+    program = start('waferbot_twin', *run, PYTHONPATH=path)
+    assert program.wait() == 0, program.output
+    assert 'copley has not ended 5 s after its last tick, it is killed' in program.output
+    assert read_recording(tmp_path / 'run').summary['complete'] == 'true'
+    assert children_of(program.process.pid) == []
+
+
 @pytest.mark.parametrize(
     ('node', 'given', 'meant'),
     [

@@ -192,7 +192,6 @@ def test_it_runs_where_there_is_no_checkout(fmu, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason='the heap is found corrupt at the end, 7 of 24 times; cause not found')
 def test_an_importer_that_is_a_python_itself_ends_in_order(fmu, tmp_path):
     done = without_checkout(fmu(), tmp_path, 'pass')
     assert done.returncode == 0, done.stderr

@@ -36,8 +36,8 @@ class Members:
     def leave(self, executor: Any) -> None:
         """Take composed nodes out of the executor."""
 
-    def alive(self) -> bool:
-        """Tell whether any node is still running."""
+    def running(self) -> list[str]:
+        """Return the names of the nodes that have not ended."""
         raise NotImplementedError
 
     def dismiss(self) -> None:
@@ -94,9 +94,9 @@ class SeparateProcesses(Members):
             command, stdin=subprocess.DEVNULL, start_new_session=True, preexec_fn=_die_with_parent
         )
 
-    def alive(self) -> bool:
-        """Tell whether any node is still running."""
-        return any(process.poll() is None for process in self._processes.values())
+    def running(self) -> list[str]:
+        """Return the names of the nodes that have not ended."""
+        return [name for name, process in self._processes.items() if process.poll() is None]
 
     def dismiss(self) -> None:
         """Let nodes go that still stay in case that somebody has missed a message."""
@@ -174,9 +174,9 @@ class ComposedNodes(Members):
         for node in self._nodes.values():
             executor.remove_node(node)
 
-    def alive(self) -> bool:
-        """Tell whether any node is still running."""
-        return any(node.outcome is None for node in self._nodes.values())
+    def running(self) -> list[str]:
+        """Return the names of the nodes that have not ended."""
+        return [name for name, node in self._nodes.items() if node.outcome is None]
 
     def failure(self) -> str:
         """Return what went wrong with one of the nodes, or ''."""
@@ -214,9 +214,9 @@ class Together(Members):
         for part in self._parts:
             part.leave(executor)
 
-    def alive(self) -> bool:
-        """Tell whether any node is still running."""
-        return any(part.alive() for part in self._parts)
+    def running(self) -> list[str]:
+        """Return the names of the nodes that have not ended."""
+        return [name for part in self._parts for name in part.running()]
 
     def dismiss(self) -> None:
         """Let nodes go that still stay in case that somebody has missed a message."""

@@ -193,17 +193,25 @@ class _Conductor:
             begun_s = time.perf_counter()
             self._spin_until(self._everything_recorded, None, 'run')
             loop_s = time.perf_counter() - begun_s
-            ended_by_s = time.monotonic() + 2 * FAREWELL_S
-            self._spin_until(
-                lambda: not self._members.alive() or time.monotonic() > ended_by_s, None, 'run'
-            )
+            self._spin_until_ended(2 * FAREWELL_S)
             self._members.dismiss()
-            self._spin_until(lambda: not self._members.alive(), None, 'run')
+            self._spin_until_ended(END_TIMEOUT_S)
+            for name in self._members.running():
+                self._recorder.get_logger().warning(
+                    f'{name} has not ended {END_TIMEOUT_S:g} s after its last tick, it is killed; '
+                    'nothing of the run is lost'
+                )
             return loop_s
         finally:
             self._executor.remove_node(self._recorder)
             self._members.leave(self._executor)
             self._executor.shutdown(0.0)
+
+    def _spin_until_ended(self, timeout_s: float) -> None:
+        ended_by_s = time.monotonic() + timeout_s
+        self._spin_until(
+            lambda: not self._members.running() or time.monotonic() > ended_by_s, None, 'run'
+        )
 
     def _everything_recorded(self) -> bool:
         return not any(self._recorder.account.missing(self._plan.ticks).values())
@@ -248,11 +256,11 @@ class _Conductor:
             if self._recorder.failure:
                 raise UserError(self._recorder.failure)
             failure = self._members.failure()
-            if failure or (not self._members.alive() and phase == 'run'):
+            if failure or (not self._members.running() and phase == 'run'):
                 # Give the others the time to find out for themselves and the recorder to drain.
                 if grace_until_s is None:
                     grace_until_s = now_s + (END_TIMEOUT_S if failure else DRAIN_TIMEOUT_S)
-                if failure and all_ended_s is None and not self._members.alive():
+                if failure and all_ended_s is None and not self._members.running():
                     all_ended_s = now_s
                 if now_s > grace_until_s or (
                     # The reason may still be on its way when the process that sent it has ended.

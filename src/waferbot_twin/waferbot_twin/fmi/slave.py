@@ -18,6 +18,7 @@ import numpy as np
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.fmi.blocks import BLOCKS, Block
+from waferbot_twin.fmi.loader import release_at_exit
 from waferbot_twin.identification.named_parameters import parse
 from waferbot_twin.models import load_model
 
@@ -31,6 +32,7 @@ class Runner:
     def __init__(self, resources: str | Path) -> None:
         """Read what the FMU holds; raises `UserError`."""
         folder = Path(resources)
+        release_at_exit(folder)
         self.about: dict[str, Any] = json.loads((folder / 'block.json').read_text('utf-8'))
         self.variant = Variant.of(load_model(str(folder / 'model.yaml')))
         self.timing = Timing()
