@@ -38,6 +38,9 @@ DRIVE = (
 )  # fmt: skip
 STEPS = (2500, 800, 1000)  # counts, as in the experiment `step`
 STEP_TICK = 360
+PASSED_OVER = {'stale message', 'missing message', 'contradicting message', 'silence'}
+"""Mistakes of their peers that the programs in C and C++ pass over."""
+
 STATES = {'pmac': 'servo_state', 'copley': 'amplifier_state'}
 """What only our own nodes say of themselves."""
 
