@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A PMAC and amplifiers in C, written from docs/contract.md, that share nothing but the messages."""
+"""
+A PMAC and amplifiers in C and in C++, from docs/contract.md, that share nothing but the messages.
+
+Those in C++ need rclcpp, which comes with a ROS 2 installation; PyPI has none.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ from foreign_peers import (
     pmac_arguments,
 )
 
-SOURCES = Path(__file__).parent / 'foreign_c'
+HERE = Path(__file__).parent
 LIBRARIES = ('rcl', 'rcutils', 'rosidl_runtime_c')
 MESSAGES = 'waferbot_msgs__rosidl_typesupport_c', 'waferbot_msgs__rosidl_generator_c'
 DURATION_S, LONG_S = 0.5, 2.0
@@ -27,14 +31,28 @@ DURATION_S, LONG_S = 0.5, 2.0
 pytestmark = [pytest.mark.slow, pytest.mark.long(90)]
 
 
-@pytest.fixture(scope='module')
-def build(tmp_path_factory):
-    """Give a function that builds a program against whatever ROS 2 is there, once."""
-    compiler = shutil.which('cc')
+@pytest.fixture(scope='module', params=['c', 'cpp'])
+def build(request, tmp_path_factory):
+    """Give a function that builds a program against whatever ROS 2 is there, once, in C or C++."""
     prefixes = [Path(one) for one in os.environ.get('AMENT_PREFIX_PATH', '').split(':') if one]
+    folder = tmp_path_factory.mktemp(f'foreign_{request.param}')
+    return (in_c if request.param == 'c' else in_cpp)(prefixes, folder)
+
+
+def in_cpp(prefixes, folder):
+    if not shutil.which('cmake') or not any((one / 'share/rclcpp').is_dir() for one in prefixes):
+        pytest.skip('no cmake, or a ROS 2 without rclcpp')
+    where = f'-DCMAKE_PREFIX_PATH={";".join(map(str, prefixes))}'
+    for step in (['-S', HERE / 'foreign_cpp', '-B', folder, where], ['--build', folder]):
+        built = subprocess.run(['cmake', *map(str, step)], capture_output=True, text=True)
+        assert built.returncode == 0, built.stdout + built.stderr
+    return lambda name: str(folder / name)
+
+
+def in_c(prefixes, folder):
+    compiler = shutil.which('cc')
     if compiler is None or not any((one / 'include/rcl/rcl/rcl.h').is_file() for one in prefixes):
         pytest.skip('no C compiler, or a ROS 2 without headers')
-    folder = tmp_path_factory.mktemp('foreign_c')
     includes = [f'-I{folder}' for one in prefixes for folder in (one / 'include').glob('*')]
     searched = [f'-L{one}/lib' for one in prefixes]
     found_at_run_time = [f'-Wl,-rpath,{one}/lib' for one in prefixes]
@@ -55,7 +73,7 @@ def build(tmp_path_factory):
         built = subprocess.run(
             [
                 compiler, '-std=c11', '-O2', '-Wall', '-Wextra', '-Werror', '-ffp-contract=off',
-                '-D_POSIX_C_SOURCE=200809L', *includes, str(SOURCES / f'{name}.c'),
+                '-D_POSIX_C_SOURCE=200809L', *includes, str(HERE / 'foreign_c' / f'{name}.c'),
                 '-o', str(program), *searched, *found_at_run_time, *linked, '-lm',
                 '-Wl,--allow-shlib-undefined',
             ],
@@ -71,7 +89,7 @@ def build(tmp_path_factory):
 @pytest.mark.parametrize(
     'layout', [(), ('--compose', 'plant,copley')], ids=['four processes', 'composed']
 )
-def test_a_pmac_in_c_gives_the_same_bits_as_ours(build, tmp_path, start, layout):
+def test_a_pmac_gives_the_same_bits_as_ours(build, tmp_path, start, layout):
     peers = {'pmac': [build('pmac'), *pmac_arguments()]}
     check_same_bits(start, tmp_path, peers, DURATION_S, layout)
 
@@ -79,7 +97,7 @@ def test_a_pmac_in_c_gives_the_same_bits_as_ours(build, tmp_path, start, layout)
 @pytest.mark.parametrize(
     'layout', [(), ('--compose', 'plant,pmac')], ids=['four processes', 'composed']
 )
-def test_amplifiers_in_c_give_the_same_bits_as_ours(build, tmp_path, start, layout):
+def test_amplifiers_give_the_same_bits_as_ours(build, tmp_path, start, layout):
     peers = {'copley': [build('copley'), *copley_arguments()]}
     check_same_bits(start, tmp_path, peers, DURATION_S, layout)
 
@@ -93,7 +111,7 @@ def test_with_both_of_them_only_the_plant_is_ours(build, tmp_path, start):
 
 
 @pytest.mark.alone  # asks for the wall clock
-def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
+def test_in_real_time_the_pmac_moves_the_axes_also_after_a_pause(
     build, start, domain, connect, tmp_path
 ):
     command = [build('pmac'), *pmac_arguments()]
@@ -104,7 +122,7 @@ def test_in_real_time_the_pmac_in_c_moves_the_axes_also_after_a_pause(
 
 
 @pytest.mark.alone  # asks for the wall clock
-def test_in_real_time_amplifiers_in_c_move_the_axes(build, start, domain, connect, tmp_path):
+def test_in_real_time_amplifiers_move_the_axes(build, start, domain, connect, tmp_path):
     command = [build('copley'), *copley_arguments()]
     log = tmp_path / 'copley.log'
     check_real_time(start, connect(domain), domain, log, 'copley', command, patience_s=1.0)
