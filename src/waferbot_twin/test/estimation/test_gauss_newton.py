@@ -167,6 +167,48 @@ def test_a_step_that_promises_much_is_shortened_until_it_gains(monkeypatch, prom
         assert tried.log_likelihood > now.log_likelihood
 
 
+def test_what_a_bound_holds_promises_nothing(monkeypatch):
+    """The offset would do much beyond its bound; a fit that has come there is at its end."""
+    print(f'seed {SEED}')
+    noise = 0.05 * np.random.default_rng(SEED).standard_normal(len(TIME_S))
+
+    def sought(*_):
+        raise AssertionError('a cause was sought that makes the step of all others fail')
+
+    problem = Decay(model(20.0, 9.0, -5.0) + noise)
+    found = fit_causes(problem, decay_causes(0.0), rounds=40, enough=1e-9)
+    assert found.causes[2].values['value'] == 0.0
+    monkeypatch.setattr(gauss_newton, '_sound', sought)
+    again = fit_causes(problem, found.causes, rounds=40, enough=1e-9)
+    assert again.log_likelihood == pytest.approx(found.log_likelihood, abs=1e-6)
+
+
+@pytest.mark.parametrize(('optimum', 'tried'), [(8.0, [1.0, 2.0, 4.0, 8.0]), (1.0, [1.0])])
+def test_a_step_is_doubled_as_long_as_it_gains_more(monkeypatch, optimum, tried):
+    """The linear problem says 1; the likelihood is a parabola of the same slope about its optimum."""
+    seen = []
+
+    def simulated(problem, causes, workers=1):
+        x = causes[0].values['value']
+        seen.append(x)
+        return SimpleNamespace(causes=causes, log_likelihood=x - x**2 / (2.0 * optimum))
+
+    monkeypatch.setattr(gauss_newton, 'evaluate', simulated)
+    monkeypatch.setattr(
+        gauss_newton,
+        'log_likelihood_ratio',
+        lambda this, other: this.log_likelihood - other.log_likelihood,
+    )
+    cause = Cause(Term('value', -100.0, 100.0), 'x', {'value': 0.0})
+    linear = gauss_newton.Linear(np.ones(1), np.ones((1, 1)), np.ones(1))
+    names = [(0, cause.effect.parameters(None, 'x')[0])]
+    now = SimpleNamespace(causes=(cause,), log_likelihood=0.0)
+    problem = SimpleNamespace(nominal=None, size_scales=())
+    found, _ = gauss_newton._step(problem, now, names, linear, gauss_newton.Reach())
+    assert seen == tried
+    assert found.causes[0].values['value'] == optimum
+
+
 class Jump(Decay):
     """The decay with something that is another machine as soon as there is any of it."""
 

@@ -18,6 +18,14 @@ which costs no simulation, and knows better than differences along single parame
 combination of them does: where an axis sticks and slips, each of them changes when it does, and much of
 that cancels. The first ones are differences over usual ways. They say how far a parameter must move for
 the logs to show it, and after the first step all are found anew, over that way.
+
+Corrected signatures are of the right sense and often too large, where noise that follows the residual
+makes a likelihood flatter than a parabola, too: many small steps go down one valley. A step along which
+ln L begins with the slope g has gained a. By the parabola of both, twice the step gains more if
+
+    a > 2/3 g,                                                                                   (2)
+
+and is tried then, and twice that, as long as it does gain more.
 """
 
 from __future__ import annotations
@@ -138,9 +146,11 @@ def fit_causes(
         linear, seen = linearise(problem, now, signatures), signatures
         errors = _conditional_errors(linear)
         better, reach = _step(problem, now, names, linear, reach, workers)
-        if better is None and fresh and not roughly and _promised(linear) > PROMISES:
-            sound = _sound(problem, now, names, linear, workers)
-            better, reach = _step(problem, now, names, sound, first, workers)
+        if better is None and fresh and not roughly:
+            whole = _bounded(now.causes, names, linear, Reach())
+            if _promised(linear, whole) > PROMISES:
+                sound = _sound(problem, now, names, linear, workers)
+                better, reach = _step(problem, now, names, sound, first, workers)
         gain = 0.0 if better is None else log_posterior_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
@@ -244,12 +254,14 @@ def _step(
     if reach.shapes == 0.0:
         linear = of_sizes
     shortest = SHORTEST
-    if _promised(linear) > PROMISES:
-        shortest *= min(1.0, float(np.max(np.abs(linear.value) / widths, initial=0.0)))
+    whole = _bounded(now.causes, names, linear, Reach())
+    if _promised(linear, whole) > PROMISES:
+        shortest *= min(1.0, float(np.max(np.abs(whole) / widths, initial=0.0)))
     while reach.sizes >= shortest:
         change = _bounded(now.causes, names, linear, reach)
         better = _if_better(problem, now, names, change, workers)
         if better is not None:
+            better = _further(problem, now, names, linear, change, better, workers)
             return better, reach.times(2.0, 2.0)
         used = np.abs(change) / widths
         shorter = min(reach.shapes, float(np.max(used[shapes], initial=0.0)))
@@ -257,6 +269,7 @@ def _step(
             change = _bounded(now.causes, names, of_sizes, reach)
             better = _if_better(problem, now, names, change, workers)
             if better is not None:
+                better = _further(problem, now, names, of_sizes, change, better, workers)
                 return better, Reach(2.0 * reach.sizes, 0.3 * shorter)
             used = np.abs(change) / widths
         reach = Reach(
@@ -264,6 +277,29 @@ def _step(
             0.3 * (shorter or reach.shapes),
         )
     return None, reach
+
+
+def _further(
+    problem: Problem,
+    now: Hypothesis,
+    names: Names,
+    linear: Linear,
+    change: Array,
+    better: Hypothesis,
+    workers: int,
+) -> Hypothesis:
+    """Return where a step leads, doubled as long as that gains more; by equation (2)."""
+    slope = float(linear.right @ (linear.matrix @ change))
+    while log_posterior_ratio(problem, better, now) > 2.0 / 3.0 * slope:
+        change, slope = 2.0 * change, 2.0 * slope
+        try:
+            tried = evaluate(problem, moved(now.causes, names, change), workers)
+        except UserError:
+            return better
+        if log_posterior_ratio(problem, tried, better) <= 0.0:
+            return better
+        better = tried
+    return better
 
 
 def _if_better(
@@ -283,9 +319,10 @@ def log_posterior_ratio(problem: Problem, this: Hypothesis, other: Hypothesis) -
     return log_likelihood_ratio(this, other) + prior
 
 
-def _promised(linear: Linear) -> float:
-    """Return the gain in 2 ln of likelihood times prior that the linear problem promises."""
-    return float(np.sum((linear.matrix @ linear.value) ** 2))
+def _promised(linear: Linear, change: Array) -> float:
+    """Return the gain in 2 ln of likelihood times prior that the linear problem promises of a change."""
+    left = linear.right - linear.matrix @ change
+    return float(linear.right @ linear.right - left @ left)
 
 
 def _sound(
