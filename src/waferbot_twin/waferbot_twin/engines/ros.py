@@ -198,7 +198,7 @@ class _Conductor:
             self._spin_until_ended(END_TIMEOUT_S)
             for name in self._members.running():
                 self._recorder.get_logger().warning(
-                    f'{name} has not ended {END_TIMEOUT_S:g} s after its last tick, it is killed; '
+                    f'{name} has not ended {END_TIMEOUT_S:g} s after it was asked to, it is killed; '
                     'nothing of the run is lost'
                 )
             return loop_s

@@ -19,9 +19,9 @@ combination of them does: where an axis sticks and slips, each of them changes w
 that cancels. The first ones are differences over usual ways. They say how far a parameter must move for
 the logs to show it, and after the first step all are found anew, over that way.
 
-Corrected signatures are of the right sense and often too large, where noise that follows the residual
-makes a likelihood flatter than a parabola, too: many small steps go down one valley. A step along which
-ln L begins with the slope g has gained a. By the parabola of both, twice the step gains more if
+With corrected signatures steps are often of the right direction and too short: many of them go down one
+valley. A step along which ln L begins with the slope g has gained a. By the parabola of both, twice the
+step gains more if
 
     a > 2/3 g,                                                                                   (2)
 

@@ -6,8 +6,9 @@ The loader of pythonfmu and pythonfmu3, a C++ library, keeps its hold on the int
 `std::shared_ptr`. The importing tool cannot unload it (GCC's unique symbols keep it), so the process
 ends with it: first the destructor of the pointer releases what it holds, then
 `finalizePythonInterpreter`, called when the dynamic linker finishes the library, releases the same once
-more. By then that memory is somebody else's: some processes in a hundred that only had to end found
-their heap corrupt and aborted, or never ended. Released before both, there is nothing left for either.
+more. By then that memory is somebody else's: of processes that only had to end, 1 of 48 to 7 of 24
+found their heap corrupt and aborted, and one never ended. Released before both, there is nothing left
+for either.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ RELEASE = 'finalizePythonInterpreter'
 def release_at_exit(resources: Path) -> None:
     """Have the loader of the FMU with this folder of resources let go before its library is finished."""
     already_loaded = getattr(os, 'RTLD_NOLOAD', None)
-    if already_loaded is None:  # Windows calls the two in the other order
+    if already_loaded is None:  # on Windows; not tried there
         return
     for file in sorted((resources.parent / 'binaries').glob('*/*')):
         try:

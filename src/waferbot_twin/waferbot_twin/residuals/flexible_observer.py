@@ -35,8 +35,9 @@ import functools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, expm
+from scipy.linalg import LinAlgError, eigh, expm
 
+from waferbot_lockstep.errors import UserError
 from waferbot_plant import motors, statics
 from waferbot_plant.modes import damping_matrix
 from waferbot_plant.plant import Machine, mass_matrix
@@ -63,7 +64,7 @@ def kalman_gains(
     (encoders, 2) which encoder another one of its axis is behind, in the second column, or -1: such
     axes are moved as if nothing gave. Coordinates of `standing` (coordinates,) do not move. `frequency`
     are w_i, rad/s, `interval_s` the times between readings. None where encoders have different
-    intervals.
+    intervals. Raises `UserError` where numbers are beyond all bounds.
     """
     p = parameters[0]
     used = [
@@ -152,10 +153,16 @@ def _stationary(
     entering = np.block([[zero, zero], [zero, noise / (unit * speed) ** 2]])
     shown = np.hstack([unit * reads, np.zeros((readings, count))])
     seen_noise = np.eye(readings) / step_s
-    after, disturbed = _sampled(system, entering, step_s)
-    variance = _variance(after, disturbed, shown, seen_noise)
-    seen = shown @ variance @ shown.T + seen_noise
-    gain: Array = np.asarray(np.linalg.solve(seen, shown @ variance), np.float64)
+    try:
+        with np.errstate(over='ignore', invalid='ignore'):  # told below
+            after, disturbed = _sampled(system, entering, step_s)
+            variance = _variance(after, disturbed, shown, seen_noise)
+            seen = shown @ variance @ shown.T + seen_noise
+            gain: Array = np.asarray(np.linalg.solve(seen, shown @ variance), np.float64)
+    except (LinAlgError, ValueError) as error:
+        raise UserError(f'the machine cannot be followed by an observer: {error}') from error
+    if not np.isfinite(gain).all():
+        raise UserError('the machine cannot be followed by an observer: its gains are not finite')
     return unit * gain[:, :count], unit * speed * gain[:, count:]
 
 
@@ -163,8 +170,8 @@ def _variance(after: Array, disturbed: Array, shown: Array, seen_noise: Array) -
     """
     Return the variance (n, n) of what is predicted from all readings before, by doubling.
 
-    It stops where twice as many readings change it by less than rounding. A mode that nothing disturbs
-    and nothing damps gets there by halves; 2^`MOST_DOUBLINGS` readings are more than any log has.
+    It stops where twice as many readings change it by less than rounding; 2^`MOST_DOUBLINGS` readings
+    are more than any log has.
     """
     one = np.eye(len(after))
     transition, seen, variance = after.T, shown.T @ np.linalg.solve(seen_noise, shown), disturbed
