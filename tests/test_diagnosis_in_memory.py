@@ -19,6 +19,7 @@ from diagnosis_matrix import trial
 from diagnosis_matrix.motions import draw_experiment
 
 from waferbot_twin.diagnosis.diagnose import diagnose
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.residuals.problem import Cause, apply_all
 
@@ -27,7 +28,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.long(180)]
 SEED = 20261214
 
 
-def diagnosed(*hidden):
+def diagnosed(*hidden, settings=None):
     """Return the diagnosis of two logs of a machine with hidden causes."""
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)
@@ -35,7 +36,7 @@ def diagnosed(*hidden):
     causes = [Cause(find(name), axis, values) for name, axis, values in hidden]
     motions = [(draw_experiment(nominal, random), SEED + place) for place in range(2)]
     first, second = trial.logs(apply_all(nominal, causes), 'rigid', 1.0, motions)
-    return diagnose(nominal, [first], [second], lambda *_: None)
+    return diagnose(nominal, [first], [second], lambda *_: None, settings=settings)
 
 
 COULOMB = ('coulomb_friction', 'x_rotate', {'friction': 1.0})
@@ -70,3 +71,19 @@ def test_where_nothing_is_hidden_nothing_is_named():
     assert result.unexplained == []
     assert result.verdict == 'consistent'
     assert result.withdrawn == []
+
+
+def test_what_is_not_sure_enough_for_a_name_is_not_in_the_extended_model():
+    name, axis, _ = COULOMB
+    sure = Settings(named_from=float(np.nextafter(1.0, 0.0)))
+    result = diagnosed((name, axis, {'friction': 0.07}), settings=sure)
+    print([(found.cause.name, found.inclusion) for found in result.possible])
+    assert result.causes == []
+    (found,) = result.possible
+    assert found.cause.name == f'{name}:{axis}'
+    assert 0.5 <= found.inclusion < 1.0
+    assert (
+        'frictions' in found.cause.effect.apply(result.nominal, axis, found.cause.values).machine
+    )
+    assert 'frictions' not in result.extended.machine
+    assert all(abs(gain.improvement_percent) < 5.0 for gain in result.gains)

@@ -64,7 +64,7 @@ class Diagnosis:
 
     @property
     def possible(self) -> pd.DataFrame:
-        """The same of causes in the extended model that are more probable than not, but not named."""
+        """The same of causes that are possible, but not named nor in the extended model."""
         return self._table(self.details.possible)
 
     def _table(self, causes: Sequence[FoundCause]) -> pd.DataFrame:

@@ -7,6 +7,9 @@ reported as gain is from logs that were not used for the fit: the same causes ar
 estimation data alone, and the extended model is simulated in the validation data. With a single
 log its last part validates. A cause that the validation data refute, or without which the extended
 model is nearer to them, is withdrawn (`validation.holdout`).
+
+The extended model has what is named and the small corrections, fitted anew without what is not sure
+enough for a name: a user is promised no gain by anything that has none.
 """
 
 from __future__ import annotations
@@ -102,10 +105,11 @@ class Diagnosis:
     The result of a diagnosis.
 
     `verdict` is `explained` (causes, nothing unexplained), `partly`, `unexplained` or `consistent`
-    (the model explains the logs). `possible` are causes that are in the extended model, as they are more
-    probable than not, but not so probable that they are named. `residual_rms` has by block and channel
-    what the nominal model leaves over. `problem` holds the logs as they were compared, estimation data
-    first. `corrections` are parameters a little different from the model's, which are no causes.
+    (the model explains the logs). `possible` are causes that are at least as probable as not, but not so
+    probable that they are named: as they were beside the others, and not in the extended model.
+    `residual_rms` has by block and channel what the nominal model leaves over. `problem` holds the logs
+    as they were compared, estimation data first. `corrections` are parameters a little different from
+    the model's, which are no causes.
     """
 
     nominal: Variant
@@ -176,50 +180,50 @@ def diagnose(
     prediction = Prediction(
         (problem, posterior.found), (to_estimate, estimated), settings, workers
     )
-    judged = without_refuted(
+    refuted = without_refuted(
         Problem(nominal, validation).with_coloured_forces(),
         estimated.causes,
         settings.refutation_level,
         prediction.log_ratio,
     )
-    named = tuple(cause for cause in judged.kept if not is_discrepancy(cause))
+    posterior = posterior.without(problem, refuted, workers)
+    posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
+    posterior = as_sure_as_constant(pool, posterior)
+    found = _found_causes(problem, posterior, settings)
+    possible = [item for item in found if item.inclusion < settings.named_from]
+    posterior = posterior.without(problem, [item.cause for item in possible], workers)
     extension = extension_that_wins(
         nominal,
-        named,
+        _in_the_model(fitted_to(to_estimate, posterior.found.causes, workers)),
         estimation,
         validation,
         settings.tolerated_loss,
         {one.best.cause.name: one.log_odds for one in posterior.effects},
     )
+    posterior = posterior.without(problem, extension.withdrawn, workers)
+    withdrawn = [cause for cause in (*refuted, *extension.withdrawn) if _is_physical(cause)]
+    notes += [said.refuted(cause) for cause in refuted if _is_physical(cause)]
+    notes += [said.worse_with(cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
-    notes += [
-        said.refuted(cause)
-        for cause in judged.refuted
-        if not is_discrepancy(cause) and not is_nuisance(cause)
-    ]
-    notes += [said.worse_with(cause) for cause in extension.withdrawn]
-    withdrawn = [*judged.refuted, *extension.withdrawn]
-    posterior = posterior.without(problem, [cause.name for cause in withdrawn], workers)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
-    posterior, notes = replace(posterior, found=updated), [*notes, *told]
-    posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
-    posterior = as_sure_as_constant(pool, posterior)
+    posterior = replace(posterior, found=updated)
     left = unexplained(problem, posterior, settings)
-    every = _found_causes(problem, posterior, settings)
-    causes = [item for item in every if item.inclusion >= settings.named_from]
-    corrected = [cause for cause in posterior.found.causes if is_nuisance(cause)]
-    extended = apply_all(nominal, [*corrected, *(item.cause for item in every)])
-    notes += [said.not_exact(block, axis) for block, axis in inexact(problem, posterior)]
-    notes += _stands_for(extended, [item.cause for item in causes])
-    notes += [_used(one, nominal, extended) for one in windows if one.spans_s]
+    causes = _found_causes(problem, posterior, settings)
+    extended = apply_all(nominal, _in_the_model(posterior.found))
+    notes += [
+        *told,
+        *(said.not_exact(block, axis) for block, axis in inexact(problem, posterior)),
+        *_stands_for(extended, [item.cause for item in causes]),
+        *(_used(one, nominal, extended) for one in windows if one.spans_s),
+    ]
     return Diagnosis(
         nominal,
         extended,
         _verdict(causes, left),
         causes,
-        [item for item in every if item.inclusion < settings.named_from],
-        [cause for cause in withdrawn if not is_discrepancy(cause) and not is_nuisance(cause)],
+        possible,
+        withdrawn,
         left,
         extension.gains,
         _residual_rms(problem, posterior.nothing),
@@ -262,15 +266,25 @@ def _verdict(causes: Sequence[FoundCause], left: Sequence[Unexplained]) -> str:
     return 'unexplained' if left else 'consistent'
 
 
+def _is_physical(cause: Cause) -> bool:
+    """Return whether a cause has a physical name."""
+    return not is_discrepancy(cause) and not is_nuisance(cause)
+
+
+def _in_the_model(found: Hypothesis) -> tuple[Cause, ...]:
+    """Return the causes of a hypothesis that a model can have: all but the discrepancies."""
+    return tuple(cause for cause in found.causes if not is_discrepancy(cause))
+
+
 def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) -> list[FoundCause]:
-    """Return the causes in the extended model, what explains most first."""
+    """Return the causes of a posterior that have a physical name, what explains most first."""
     found = posterior.found
     errors = standard_errors(found)
     result, first = [], 0
     for place, (cause, effect) in enumerate(zip(found.causes, posterior.effects, strict=True)):
         own = errors[first : first + cause.free]
         first += cause.free
-        if is_discrepancy(cause) or is_nuisance(cause):
+        if not _is_physical(cause):
             continue
         result.append(
             FoundCause(
@@ -295,7 +309,7 @@ def _credible_set(
     return tuple(
         Alternative(cause if one.cause.name == cause.name else one.cause, one.probability)
         for one in members
-        if not is_discrepancy(one.cause) and not is_nuisance(one.cause)
+        if _is_physical(one.cause)
     )
 
 

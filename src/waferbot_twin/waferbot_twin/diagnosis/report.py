@@ -165,8 +165,7 @@ def write(diagnosis: Diagnosis, folder: Path, reference: LeastSquares | None = N
 
 def extended_text(diagnosis: Diagnosis) -> str:
     """Return the extended model as the text of a file that nodes load; of a machine alone, its own."""
-    every = [*diagnosis.causes, *diagnosis.possible]
-    names = '; '.join(in_words(diagnosis.nominal, found.cause) for found in every)
+    names = '; '.join(in_words(diagnosis.nominal, found.cause) for found in diagnosis.causes)
     names = names or 'no cause was found'
     header = f'# The model {diagnosis.nominal.name}, extended by a diagnosis: {names}.\n'
     return header + diagnosis.extended.text

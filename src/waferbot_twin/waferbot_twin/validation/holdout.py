@@ -74,19 +74,11 @@ def fitted_to(estimation: Problem, causes: tuple[Cause, ...], workers: int = 1) 
         return evaluate(estimation, causes)
 
 
-@dataclass(frozen=True)
-class Judged:
-    """Causes that the validation data do not refute, and those that they do."""
-
-    kept: tuple[Cause, ...]
-    refuted: tuple[Cause, ...]
-
-
 def without_refuted(
     validation: Problem, causes: tuple[Cause, ...], level: float, predicted: Predicted
-) -> Judged:
+) -> tuple[Cause, ...]:
     """
-    Return what the validation data say of some causes, each block alone.
+    Return those of some causes that the validation data refute, each block alone.
 
     Equation (1) at a `level`. Values are those of the estimation data (`fitted_to`).
     """
@@ -110,7 +102,7 @@ def without_refuted(
         refuted.append(kept[worst])
         # The others keep their values: fitted anew they would stand in for what was in that log alone.
         kept = _others(kept, worst)
-    return Judged(kept, tuple(refuted))
+    return tuple(refuted)
 
 
 def _gain_of(problem: Problem, causes: tuple[Cause, ...], place: int) -> float:

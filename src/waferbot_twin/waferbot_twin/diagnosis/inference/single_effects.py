@@ -125,13 +125,14 @@ class Posterior:
                 shares.append((squares[1] - squares[2]) / max(squares[:2]))
         return min(max(shares), 1.0)
 
-    def without(self, problem: Problem, names: Sequence[str], workers: int = 1) -> Posterior:
+    def without(self, problem: Problem, causes: Sequence[Cause], workers: int = 1) -> Posterior:
         """Return the posterior without some causes, the others fitted anew."""
-        if not names:
+        if not causes:
             return self
+        names = {cause.name for cause in causes}
         kept = [place for place, cause in enumerate(self.found.causes) if cause.name not in names]
-        causes = tuple(self.found.causes[place] for place in kept)
-        found = to_the_end(problem, evaluate(problem, causes), workers)
+        others = tuple(self.found.causes[place] for place in kept)
+        found = to_the_end(problem, evaluate(problem, others), workers)
         return replace(self, found=found, effects=tuple(self.effects[place] for place in kept))
 
 
