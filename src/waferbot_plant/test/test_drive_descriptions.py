@@ -144,7 +144,13 @@ def test_a_motor_of_which_nothing_is_said_is_refused() -> None:
 def test_no_voltages_on_a_motor_without_windings() -> None:
     with pytest.raises(UserError, match='y_linear is known by its force per ampere alone'):
         motors.check_windings(load_description(machines.write(by_force())))
-    motors.check_windings(load_description(machines.write(sound())))
+    data = sound()
+    motors.check_windings(load_description(machines.write(data)))
+    data['motors']['y_linear']['lag_s'] = 0.0
+    motors.check_windings(load_description(machines.write(data)))
+    data['motors']['y_linear']['lag_s'] = 5e-4
+    with pytest.raises(UserError, match=r'y_linear has the lag of a drive .* 0\.0005 s'):
+        motors.check_windings(load_description(machines.write(data)))
 
 
 def test_viscous_damping_of_a_motor_is_a_damper_on_its_coordinate() -> None:

@@ -275,3 +275,26 @@ def test_shipped_models_stay_cold_unless_asked() -> None:
     parameters = machine.parameters()[0]
     assert parameters['heat_capacity'].tolist() == [1800.0, 1500.0, 0.0]
     assert machine.description.motors['x_rotate'].heating.coefficient == 0.00393
+
+
+@pytest.mark.parametrize('lag_s', [1e-6, 2e-4, 3e-3])
+def test_what_lags_is_the_exact_solution_for_what_is_held(lag_s: float) -> None:
+    """Its mean over each step by the matrix exponential of T di/dt = u - i, dm/dt = i, du/dt = 0."""
+    step_s, told = 5e-5, np.random.default_rng(1).normal(size=(300, 3))
+    told[100:120, 1] = np.nan
+    system = np.array([[-1.0, 0.0, 1.0], [lag_s, 0.0, 0.0], [0.0, 0.0, 0.0]]) / lag_s
+    moves = expm(system * step_s)
+    found = motors.lagged(told, np.array([lag_s, 0.0, 2.0 * lag_s]), step_s)
+    acting = told[0, 0]
+    for tick, now in enumerate(told[:, 0]):
+        acting, integral, _ = moves @ (acting, 0.0, now)
+        assert found[tick, 0] == pytest.approx(integral / step_s, rel=1e-9, abs=1e-12)
+    assert np.array_equal(found[:, 1], told[:, 1], equal_nan=True)
+    assert found[0, 2] == pytest.approx(told[0, 2])
+
+
+def test_what_lags_begins_anew_behind_a_gap() -> None:
+    told = np.array([[1.0], [np.nan], [3.0], [3.0]])
+    found = motors.lagged(told, np.array([1e-3]), 1e-4)[:, 0]
+    assert np.isnan(found[1])
+    assert found[[0, 2, 3]] == pytest.approx([1.0, 3.0, 3.0])

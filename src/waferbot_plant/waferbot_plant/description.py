@@ -234,7 +234,9 @@ class Motor:
     the windings 1 and 2.
 
     A motor that is known `by_force` alone has stand-ins for its windings: `motors.check_windings`
-    refuses to put voltages on them.
+    refuses to put voltages on them. `lag` is the time constant, s, with which the force follows what the
+    drive is told, where that is not modelled (`motors.lag_step`); an amplifier has its own.
+    `peak_current` is what motor and drive can bear, A, infinite where nobody says; nothing limits it.
     """
 
     axis: str
@@ -249,6 +251,8 @@ class Motor:
     ripple: tuple[Ripple, ...]
     phase_imbalance: tuple[float, float]
     by_force: bool = False
+    lag: float = 0.0
+    peak_current: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 FORCE_KEYS = ('force_per_ampere_n_a', 'torque_per_ampere_nm_a')
 """What a motor may be known by in place of its data sheet, where it slides and where it turns."""
 
+LAG_KEY = 'lag_s'
+"""How the force of a motor follows what its drive is told, where no amplifier is modelled."""
+
 WINDING_KEYS = ('winding', 'resistance_lead_to_lead_ohm', 'inductance_lead_to_lead_h')
 
 _OF_WINDINGS = (
@@ -87,6 +90,8 @@ def read_motor(reader: Reader, axis: str) -> Motor:
         _ripple(reader, axis),
         _pair(value.get('phase_imbalance', (0.0, 0.0))),
         any(name in value for name in FORCE_KEYS),
+        float(value.get(LAG_KEY, 0.0)),
+        float(value.get('peak_current_a', math.inf)),
     )
 
 

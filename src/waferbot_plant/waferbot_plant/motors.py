@@ -148,13 +148,23 @@ def force_constant(motor: Motor) -> float:
 
 
 def check_windings(description: Description) -> None:
-    """Raise `UserError` if a motor is known by its force per ampere alone: no voltages drive that."""
+    """
+    Raise `UserError` if a motor cannot be driven by an amplifier's voltages.
+
+    One that is known by its force per ampere alone, or whose description has the lag of a drive.
+    """
     for axis, motor in description.motors.items():
         if motor.by_force:
             raise UserError(
                 f'{description.name}: motor {axis} is known by its force per ampere alone, which is '
                 'enough for measured logs; to run it with an amplifier, give winding, resistance, '
                 'inductance and back-EMF (docs/machine_description.md)'
+            )
+        if motor.lag:
+            raise UserError(
+                f'{description.name}: motor {axis} has the lag of a drive that is not modelled, '
+                f'{motor.lag:g} s, which is for measured logs; to run it with an amplifier, which has '
+                'its own, leave lag_s out'
             )
 
 
@@ -217,6 +227,43 @@ def current_of_force(
     constant = force_constant_at(p, motor, electrical_angle)
     square = constant * constant - p['saturation'][motor] * force * force
     return math.copysign(math.inf, force) if square <= 0.0 else force / math.sqrt(square)
+
+
+@compiled
+def lag_step(told, acting, lag, step):
+    """
+    Return the mean over a step of what follows `told` with a first-order lag, and its value at the end.
+
+    T di/dt = i_told - i,    i_told held over the step dt,
+
+        mean = i_told + (i - i_told) (T / dt) (1 - e^(-dt / T))
+        end  = i_told + (i - i_told) e^(-dt / T)
+
+    with T = `lag` and dt = `step` in s, i = `acting` at the beginning, in the unit of `told`. Exact; for
+    a short T it is a delay of T. T = 0: at once.
+    """
+    if lag == 0.0:
+        return told, told
+    left = math.exp(-step / lag)
+    return told + (acting - told) * (lag / step) * (1.0 - left), told + (acting - told) * left
+
+
+@compiled
+def lagged(told, lag, step):
+    """
+    Return what follows each column of `told` (n, motors) by its `lag` (motors,) s, mean in each `step`.
+
+    It begins with the first value, and where nothing is known (NaN), with the first one behind.
+    """
+    mean = np.empty_like(told)
+    for motor in range(told.shape[1]):
+        acting = np.nan
+        for tick in range(told.shape[0]):
+            now = told[tick, motor]
+            if acting != acting:
+                acting = now
+            mean[tick, motor], acting = lag_step(now, acting, lag[motor], step)
+    return mean
 
 
 @compiled

@@ -220,6 +220,15 @@ def test_where_a_described_controller_has_a_limit_effects_are_sized_by_that(rand
     assert not sized.usual_current
 
 
+def test_where_the_motor_has_a_peak_current_effects_are_sized_by_that(random, motor) -> None:
+    rated = {**motor.machine['motors'][AXIS], 'peak_current_a': 12.0}
+    described = replace(motor, machine={**motor.machine, 'motors': {AXIS: rated}})
+    sized = sized_by([record_of_measured_log(log_of(random), motor)], described)
+    per_ampere = places.force_per_ampere(described, AXIS)
+    assert places.rated_force(sized, AXIS) == pytest.approx(0.1 * 12.0 * per_ampere)
+    assert not sized.usual_current
+
+
 @pytest.mark.parametrize(
     ('name', 'by_log'),
     [('coulomb_friction', True), ('cogging', True), ('force_constant', False)],

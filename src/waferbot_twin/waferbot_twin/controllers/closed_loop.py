@@ -3,8 +3,8 @@
 The closed loop of a plant and described controllers, compiled, without any noise.
 
 Within a tick: encoders are read; controllers compute, where it is a cycle of theirs; the plant moves on
-under what they put out `delay` ago, held until the next output takes its place. The drive does at once
-what it is told, as it is taken to do where a log has no more than its command. An axis without a
+under what they put out `delay` ago, held until the next output takes its place. The drive does what it
+is told, at once or with the lag of its motor (`motors.lag_step`). An axis without a
 controller stands still. Controllers see what
 encoders show at that tick (later by what an encoder is late beyond the others), in the whole steps in
 which the log counts.
@@ -66,7 +66,7 @@ class Run:
 
     seen      (rows, 4) counts that encoders see at encoder ticks, without steps, not yet published
     speed     (rows, 4) counts per second, of that
-    current   (ticks, 3) A, over each tick
+    current   (ticks, 3) A, what drives are told over each tick
     command   (cycles, 3) A, what controllers computed
     """
 
@@ -119,6 +119,8 @@ def run(
         begin.current,
         amperes,
         np.array(delays),
+        places.drive_lags(variant),
+        timing.tick_s,
         timing.servo_divider,
         timing.encoder_divider,
         places.counts_per_unit(variant),
@@ -183,6 +185,8 @@ def _advance(
     current,
     amperes,
     delays,
+    lags,
+    tick_s,
     divider,
     encoder_divider,
     per_unit,
@@ -200,8 +204,8 @@ def _advance(
     Run the loop; fill the arrays of `Run`. Returns tick and coordinate of a runaway, or the end and -1.
 
     `velocity`, `integral` (in units of the output) and `current` (3,) as in `Begin`; `amperes` (3,) per
-    unit of the output; `standing` (n,) coordinates that do not move; `delays` (3,) ticks; `per_unit`
-    (3,) counts; `count_step`, `down` (4,) as `Counting` has them.
+    unit of the output; `standing` (n,) coordinates that do not move; `delays` (3,) ticks; `lags` (3,) s;
+    `per_unit` (3,) counts; `count_step`, `down` (4,) as `Counting` has them.
     """
     s = state[0]
     p = parameters[0]
@@ -209,6 +213,7 @@ def _advance(
     position = np.zeros(axes)
     output = np.zeros(axes)
     start = s['position'].copy()
+    acting = current.copy()
     for motor in range(motors.MOTORS):
         s['terminals_open'][motor] = 1
     for axis in range(axes):
@@ -248,7 +253,9 @@ def _advance(
             ratio = p['motor_ratio'][motor]
             middle = s['position'][coordinate] + 0.5 * p['step'] * s['velocity'][coordinate]
             angle = p['electrical_gain'][motor] * ratio * middle
-            force = motors.force_at_angle(p, motor, angle, current_out[tick, motor], 0.0)
+            told = current_out[tick, motor]
+            mean, acting[motor] = motors.lag_step(told, acting[motor], lags[motor], tick_s)
+            force = motors.force_at_angle(p, motor, angle, mean, 0.0)
             s['external_force'][coordinate] += ratio * force
         if tick % LOOK_TICKS == 0:
             coordinate = plant.runaway(state)

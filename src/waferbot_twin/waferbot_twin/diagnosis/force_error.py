@@ -11,6 +11,7 @@ where the axis moves and the filter has settled. The outer L is there as a model
 once where measured force was filtered. Least squares answer the same question, so both errors stand
 side by side (`identification.least_squares`): what a simulation explains of a position, in a force. If
 a model reads a position late by d, and the drive stands in the log late by T, F is taken at t + T - d.
+Of a drive that lags, F is what follows the logged force (`motors.lagged`).
 
 Limit: of a machine with one motor alone, whose inverse dynamics need no other axis.
 """
@@ -19,10 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_plant import motors
 from waferbot_plant.inverse_dynamics import InverseDynamics
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
@@ -56,8 +60,10 @@ def force_error(
     late_s -= variant.description.encoders[POSITION_ENCODER[axis]].errors.delay
     try:
         dynamics = InverseDynamics(variant.description)
+        lag_s = places.drive_lags(variant)[AXES.index(axis)]
+        per_ampere = places.force_per_ampere(nominal, axis)
         parts = [
-            _forces(one, fit.cut_off_hz, dynamics, places.force_per_ampere(nominal, axis))
+            _forces(_lagged(one, lag_s), fit.cut_off_hz, dynamics, per_ampere)
             for one in stretches_of(log, axis, nominal, late_s)
         ]
     except UserError:
@@ -65,6 +71,12 @@ def force_error(
     measured, left = (np.concatenate(rows) for rows in zip(*parts, strict=True))
     found = relative_error(measured, left)
     return None if math.isnan(found) else found
+
+
+def _lagged(stretch: Stretch, lag_s: float) -> Stretch:
+    """Return a stretch with the force that follows what was logged."""
+    force = motors.lagged(stretch.force[:, None], np.array([lag_s]), stretch.step_s)
+    return replace(stretch, force=force[:, 0])
 
 
 def _forces(

@@ -29,7 +29,7 @@ MODELS = ('rigid', 'simplified')
 """Models that the axes and parameters of the table are of; the first that has the effect counts."""
 
 EXAMPLE = 'two_mass_drive'
-"""The example of a description for what none of these models can have."""
+"""The example of a description for what none of these models can have; no current is measured there."""
 
 _SECTION = re.compile(r'(<!-- generated: effects -->\n).*?(<!-- end -->)', re.DOTALL)
 
@@ -45,7 +45,8 @@ def table() -> str:
     """Return the library as tables in Markdown, one for each block."""
     example = yaml.safe_load(whole_text(find_description(EXAMPLE)))
     variants = [Variant.of(load_model(name)) for name in MODELS]
-    variants.append(Variant(EXAMPLE, example, 'improved', {}, {}))
+    told_alone = frozenset(example['motors'])
+    variants.append(Variant(EXAMPLE, example, 'improved', {}, {}, told_alone=told_alone))
     blocks: dict[str, list[str]] = {}
     for effect in library().values():
         blocks.setdefault(effect.block.value, []).append(_row(effect, variants))

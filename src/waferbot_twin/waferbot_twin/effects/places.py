@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_plant import motors
@@ -44,6 +45,26 @@ def wound_axes(variant: Variant) -> tuple[str, ...]:
         axis
         for axis in motor_axes(variant)
         if not known[axis].by_force and axis not in variant.base.force_driven
+    )
+
+
+def drive_lags(variant: Variant) -> NDArray[np.float64]:
+    """Return how force follows what the drive of each axis is told (3,), time constants in s."""
+    known = variant.description.motors
+    return np.array([known[axis].lag if axis in known else 0.0 for axis in AXES])
+
+
+def lagging_axes(variant: Variant) -> tuple[str, ...]:
+    """
+    Return the axes whose drive may lag behind what it is told.
+
+    Those in logs that have no measured current, of a model without the amplifier.
+    """
+    base = variant.base
+    return tuple(
+        axis
+        for axis in motor_axes(variant)
+        if axis in base.told_alone and not base.copley.get(axis)
     )
 
 
@@ -208,12 +229,17 @@ def amperes_per_output(variant: Variant, axis: str) -> float:
     return controller.drive_gain / per_ampere
 
 
-def output_limit(variant: Variant, axis: str) -> float:
-    """Return the motor's current (A) at the limit of a described controller; infinite without one."""
-    controller = variant.base.description.controllers.get(axis)
+def described_limit(variant: Variant, axis: str) -> float:
+    """
+    Return the largest current (A) by a description; infinite where it does not say.
+
+    That at the limit of a described controller, or the motor's peak current if that is less.
+    """
+    description = variant.base.description
+    controller, peak = description.controllers.get(axis), description.motors[axis].peak_current
     if controller is None or not math.isfinite(controller.output_limit):
-        return math.inf
-    return controller.output_limit * amperes_per_output(variant, axis)
+        return peak
+    return min(controller.output_limit * amperes_per_output(variant, axis), peak)
 
 
 def counts_per_unit(variant: Variant) -> np.ndarray:
@@ -270,12 +296,12 @@ def peak_current(variant: Variant, axis: str) -> float:
     """
     Return the peak current of an axis' drive, A.
 
-    Without a known amplifier that at which the output of a described controller ends. Of a drive of
-    which nothing is known, that with which the logs' current would be the rated one.
+    Without a known amplifier that by the description (`described_limit`). Of a drive of which nothing
+    is known, that with which the logs' current would be the rated one.
     """
     variant = variant.base
     if not variant.copley.get(axis):
-        limit = output_limit(variant, axis)
+        limit = described_limit(variant, axis)
         if math.isfinite(limit):
             return limit
         if axis in variant.usual_current:

@@ -65,6 +65,8 @@ class Variant:
     """RMS current (A) of each axis in logs, where nothing is known of an amplifier."""
     force_driven: frozenset[str] = frozenset()
     """Axes whose logs have the force and no current: what a motor makes of one is not in them."""
+    told_alone: frozenset[str] = frozenset()
+    """Axes whose logs have what the drive is told or reckons, and no measured current."""
     deviations: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are off, each in the standard deviations that it usually has (`Overlay`)."""
     skew_s: Mapping[str, float] = field(default_factory=dict)

@@ -232,6 +232,7 @@ def record_of_measured_log(
         counted=tuple(in_steps),
         controlled=known_controllers,
         force_driven=tuple(axis for axis, drive in drives.items() if drive.kind == 'force'),
+        told_alone=tuple(axis for axis, drive in drives.items() if drive.kind != 'current'),
     )
 
 
@@ -590,22 +591,29 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     Return the variant with the usual currents of the logs, for axes of unknown drives.
 
     Effects are sized by what a drive can do (`places.rated_force`); where nobody says what that is,
-    what it did has to tell. Where all logs have a force, nothing shows what windings do.
+    what it did has to tell. Where all logs have a force, nothing shows what windings do; where none has
+    a measured current, nothing shows how fast a drive is.
     """
     usual = {}
-    for place, axis in enumerate(AXES):
+    for axis in places.motor_axes(variant):
+        place = AXES.index(axis)
         parts = [record.current[:, place] for record in records if record.current is not None]
         known = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else ()
-        unlimited = math.isinf(places.output_limit(variant, axis))
+        unlimited = math.isinf(places.described_limit(variant, axis))
         if len(known) and not variant.copley.get(axis) and unlimited:
             usual[axis] = float(np.sqrt(np.mean(np.square(known))))
-    by_force = set(variant.description.motors).intersection(
-        *(record.force_driven for record in records)
+    by_force, told_alone = (
+        frozenset(variant.description.motors).intersection(*axes)
+        for axes in (
+            [record.force_driven for record in records],
+            [record.told_alone for record in records],
+        )
     )
     return replace(
         variant,
         usual_current={axis: value for axis, value in usual.items() if value},
-        force_driven=frozenset(by_force),
+        force_driven=by_force,
+        told_alone=told_alone,
     )
 
 

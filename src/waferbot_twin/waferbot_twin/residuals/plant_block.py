@@ -66,6 +66,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
 from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
+from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.noise_model.motion_basis import motion_basis
 from waferbot_twin.noise_model.prediction_error import Noise, freedom_of
@@ -278,7 +279,7 @@ class PlantBlock:
             state,
             parameters,
             record.line_current,
-            np.zeros((0, motors.MOTORS)) if record.current is None else record.current,
+            self._acting_current(variant),
             0.5 if record.whole_counts else 0.0,
             record.timing.encoder_divider,
             2.0 * math.pi * self._observer_hz,
@@ -302,6 +303,15 @@ class PlantBlock:
             _means(innovation, rows, place)
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
+
+    def _acting_current(self, variant: Variant) -> Array:
+        """Return the current (n, 3) that makes force, A; (0, 3) where line currents are known."""
+        if self.record.current is None:
+            return np.zeros((0, motors.MOTORS))
+        lags = places.drive_lags(variant)
+        if not lags.any():
+            return self.record.current
+        return np.asarray(motors.lagged(self.record.current, lags, self.record.timing.tick_s))
 
     def _late_s(self, variant: Variant) -> Array:
         """Return how much after its tick each reading was taken, s, with a skew that a variant has."""

@@ -63,6 +63,8 @@ class Record:
     counted       whether each encoder's readings are whole steps of its resolution
     controlled    the axes whose controller the model knows
     force_driven  the axes whose force was logged, and no current
+    told_alone    the axes of which the log has what the drive was told or reckons, a force or a command,
+                  and no measured current
     skew_spread_s standard deviation of what is not known of the time of each axis' drive against its
                   position, s: 0 where a log has the same clock for both, and every tick
     notes         what a reader of the results should know of the log
@@ -94,6 +96,7 @@ class Record:
     counted: tuple[bool, ...] = (True,) * len(ENCODERS)
     controlled: tuple[str, ...] = AXES
     force_driven: tuple[str, ...] = ()
+    told_alone: tuple[str, ...] = ()
     skew_spread_s: tuple[float, ...] = (0.0,) * len(AXES)
     notes: tuple[str, ...] = ()
     log: str = ''
