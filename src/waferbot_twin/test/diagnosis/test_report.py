@@ -226,7 +226,7 @@ def test_residual_force_over_speed_is_the_friction(diagnosis):
 def test_json_has_what_the_page_says(diagnosis, tmp_path):
     report.write(diagnosis, tmp_path)
     content = json.loads((tmp_path / 'report.json').read_text('utf-8'))
-    assert content['schema'] == 2
+    assert content['schema'] == 3
     cause = content['causes'][0]
     assert cause['parameters']['friction'] == {
         'value': FRICTION_NM, 'unit': 'Nm', 'low95': 1.4, 'high95': 1.6,

@@ -9,7 +9,7 @@ from waferbot_twin.cli.console import new_table, result_console
 from waferbot_twin.diagnosis.corrections import stated
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.parameters import ParameterText, parameter_texts
-from waferbot_twin.diagnosis.report import correction_row, gain_with_force, unexplained_rows
+from waferbot_twin.diagnosis.report import correction_row, gain_with_unnamed, unexplained_rows
 from waferbot_twin.diagnosis.wording import (
     capital,
     in_words,
@@ -42,7 +42,7 @@ def print_diagnosis(
         headings = ['unexplained', 'share of the error', 'band', 'where', 'goes with']
         _print_table(headings, left)
     _print_gains(diagnosis, others, heading)
-    for line in gain_with_force(diagnosis):
+    for line in gain_with_unnamed(diagnosis):
         print(line)
     for note in diagnosis.notes:
         print(f'Note: {with_titles(note)}.')

@@ -21,7 +21,7 @@ from waferbot_twin.diagnosis.forces import BINS, draw_forces
 from waferbot_twin.diagnosis.once import once
 from waferbot_twin.diagnosis.parameters import parameter_texts
 from waferbot_twin.diagnosis.reference import reference_dict, reference_remarks, reference_rows
-from waferbot_twin.diagnosis.unnamed_force import gains_with_it
+from waferbot_twin.diagnosis.unnamed import gains_with_unnamed
 from waferbot_twin.diagnosis.wording import (
     BLOCKS,
     READINGS,
@@ -49,7 +49,7 @@ from waferbot_twin.validation.gain_report import (
     gain_table,
 )
 
-SCHEMA = 2
+SCHEMA = 3
 
 NO_INTERVAL = (math.nan, math.nan)
 """The ends of the interval of a parameter that has none: null in JSON."""
@@ -59,16 +59,16 @@ def as_dict(
     diagnosis: Diagnosis, reference: LeastSquares | None = None, *, quick: bool = False
 ) -> dict[str, Any]:
     """
-    Return the diagnosis as plain values, as `report.json` has them (schema 2).
+    Return the diagnosis as plain values, as `report.json` has them (schema 3).
 
     Values are in the unit that stands beside them; shares and probabilities are 0 to 1. `reference` are
     the least squares of the same logs, where somebody has them. `quick` leaves out what has to be
-    simulated for it: bands, and the gain with a force without a name.
+    simulated for it: bands, and the gain with what has no name.
     """
-    with_force: list[AxisGain] = []
+    with_unnamed: list[AxisGain] = []
     bands: list[Band | None] = [None] * len(diagnosis.unexplained)
     if not quick:
-        with_force, bands = _with_force(diagnosis), _bands(diagnosis)
+        with_unnamed, bands = _with_unnamed(diagnosis), _bands(diagnosis)
     return {
         'schema': SCHEMA,
         'model': diagnosis.nominal.name,
@@ -94,7 +94,7 @@ def as_dict(
         'gain': {
             'validation': diagnosis.validation,
             'axes': gain_of_axes(diagnosis.gains),
-            'with_unnamed_force': gain_of_axes(with_force),
+            'with_unnamed': gain_of_axes(with_unnamed),
         },
         'least_squares': reference_dict(reference),
         'logs': {'estimation': diagnosis.estimation, 'validation': diagnosis.validation},
@@ -105,9 +105,9 @@ def as_dict(
     }
 
 
-def _with_force(diagnosis: Diagnosis) -> list[AxisGain]:
-    """Return the gain with a force without a name."""
-    return once(diagnosis, 'gains_with_unnamed_force', lambda: gains_with_it(diagnosis))
+def _with_unnamed(diagnosis: Diagnosis) -> list[AxisGain]:
+    """Return the gain with what has no name."""
+    return once(diagnosis, 'gains_with_unnamed', lambda: gains_with_unnamed(diagnosis))
 
 
 def _bands(diagnosis: Diagnosis) -> list[Band | None]:
@@ -198,7 +198,7 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         # Made by us, of escaped text and numbers.
         gain_picture=Markup(picture(draw_gains(diagnosis.gains))),
         gain_table=Markup(gain_table(diagnosis.gains)),
-        gain_with_force=gain_with_force(diagnosis),
+        gain_with_unnamed=gain_with_unnamed(diagnosis),
         first_log=diagnosis.problem.records[0].name,
         residual_picture=Markup(picture(figures.draw_residuals(diagnosis))),
         reference=[]
@@ -240,13 +240,13 @@ def unexplained_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
     ]
 
 
-def gain_with_force(diagnosis: Diagnosis) -> list[str]:
-    """Return, of each axis, what a force without a name gains beside what the extended model does."""
+def gain_with_unnamed(diagnosis: Diagnosis) -> list[str]:
+    """Return, of each axis, what all without a name gains beside what the extended model does."""
     without = gain_of_axes(diagnosis.gains)
     return [
         f'{TITLES[axis]}: {without[axis]["improvement_percent"]:.1f} % with the extended model, '
-        f'{found["improvement_percent"]:.1f} % with the force without a name beside it'
-        for axis, found in gain_of_axes(_with_force(diagnosis)).items()
+        f'{found["improvement_percent"]:.1f} % with what has no name beside it'
+        for axis, found in gain_of_axes(_with_unnamed(diagnosis)).items()
         if axis in without
     ]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gain is told for the causes alone, and with a force that has no name."""
+"""The gain is told for the causes alone, and with what has no name: forces, and possible causes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.inference.discrepancy import tables
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.report import gain_with_force
-from waferbot_twin.diagnosis.unnamed_force import gains_with_it
+from waferbot_twin.diagnosis.report import gain_with_unnamed
+from waferbot_twin.diagnosis.unnamed import gains_with_unnamed
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -43,19 +43,30 @@ def diagnosis():
         estimation=['estimation'],
         settings=Settings(),
         after=evaluate(problem, (force,)),
+        possible=[],
         gains=gains(nominal, nominal, records[1:]),
     )
 
 
 def test_the_force_makes_up_for_what_no_cause_explains(diagnosis):
-    found = {item.axis: item for item in gains_with_it(diagnosis)}
+    found = {item.axis: item for item in gains_with_unnamed(diagnosis)}
     assert found['x_rotate'].log == 'validation'
     assert found['x_rotate'].improvement_percent > 90.0
-    line = next(one for one in gain_with_force(diagnosis) if one.startswith('X-Rotate'))
+    line = next(one for one in gain_with_unnamed(diagnosis) if one.startswith('X-Rotate'))
     assert line.startswith('X-Rotate: 0.0 % with the extended model, 9')
 
 
+def test_so_does_a_cause_that_is_possible(diagnosis):
+    friction = Cause(find('viscous_friction'), 'x_rotate', {'damping': 1.0})
+    nothing = evaluate(diagnosis.problem, ())
+    possible = SimpleNamespace(
+        **{**vars(diagnosis), 'after': nothing, 'possible': [SimpleNamespace(cause=friction)]}
+    )
+    found = {item.axis: item for item in gains_with_unnamed(possible)}
+    assert found['x_rotate'].improvement_percent > 95.0
+
+
 def test_without_such_a_force_nothing_is_told(diagnosis):
-    named = SimpleNamespace(after=SimpleNamespace(causes=()), gains=[])
-    assert gains_with_it(named) == []
-    assert gain_with_force(named) == []
+    named = SimpleNamespace(after=SimpleNamespace(causes=()), possible=[], gains=[])
+    assert gains_with_unnamed(named) == []
+    assert gain_with_unnamed(named) == []
