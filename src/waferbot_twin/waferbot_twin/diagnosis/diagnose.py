@@ -9,7 +9,8 @@ log its last part validates. A cause that the validation data refute, or without
 model is nearer to them, is withdrawn (`validation.holdout`).
 
 The extended model has what is named and the small corrections, fitted anew without what is not sure
-enough for a name: a user is promised no gain by anything that has none.
+enough for a name: a user is promised no gain by anything that has none. What is then no longer evident,
+as it only went together with that, goes as well.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
+from waferbot_twin.diagnosis.inference.elimination import as_evident
 from waferbot_twin.diagnosis.inference.exactness import as_likely_as_not_where_inexact, inexact
 from waferbot_twin.diagnosis.inference.nuisance import (
     corrections,
@@ -189,9 +191,11 @@ def diagnose(
     posterior = posterior.without(problem, refuted, workers)
     posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
     posterior = as_sure_as_constant(pool, posterior)
-    found = _found_causes(problem, posterior, settings)
-    possible = [item for item in found if item.inclusion < settings.named_from]
-    posterior = posterior.without(problem, [item.cause for item in possible], workers)
+    possible: list[FoundCause] = []
+    while unnamed := _without_a_name(problem, posterior, settings):
+        possible += unnamed
+        posterior = posterior.without(problem, [item.cause for item in unnamed], workers)
+        posterior = as_evident(pool, posterior)
     extension = extension_that_wins(
         nominal,
         _in_the_model(fitted_to(to_estimate, posterior.found.causes, workers)),
@@ -299,6 +303,17 @@ def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) ->
             )
         )
     return sorted(result, key=lambda item: -item.share)
+
+
+def _without_a_name(
+    problem: Problem, posterior: Posterior, settings: Settings
+) -> list[FoundCause]:
+    """Return the causes that are not sure enough for a name, what explains most first."""
+    return [
+        item
+        for item in _found_causes(problem, posterior, settings)
+        if item.inclusion < settings.named_from
+    ]
 
 
 def _credible_set(

@@ -20,8 +20,8 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 
-TYPICAL_MS, MOST_MS = 0.3, 30.0
-"""A current loop of 500 Hz, which is usual; one of 5 Hz is none."""
+TYPICAL_MS, MOST_MS = 0.3, 5.0
+"""A current loop of 500 Hz, which is usual; a drive of 30 Hz is no servo drive."""
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:

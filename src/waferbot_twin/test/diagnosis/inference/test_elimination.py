@@ -14,7 +14,12 @@ from hypothesis import strategies as st
 from waferbot_twin.diagnosis.inference import elimination
 from waferbot_twin.diagnosis.inference.elimination import _eliminated, _linear_odds
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
+from waferbot_twin.diagnosis.inference.single_effects import (
+    Member,
+    Posterior,
+    SingleEffect,
+    with_odds,
+)
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import Cause
@@ -227,3 +232,17 @@ def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):
     )
     pool = SimpleNamespace(**vars(POOL), workers=1)
     assert elimination._without_some(pool, found, NAMES) is None
+
+
+def test_what_is_judged_once_more_goes_or_is_no_surer_than_before(monkeypatch):
+    every = [effect_of(Cause(Term(name), 'x', {'value': 1.0})) for name in NAMES[:3]]
+    odds = [(4.0, 90.0), (5.0, None), (9.0, 2.0)]  # before and after; None: it goes
+    before = [with_odds(one, was) for one, (was, _) in zip(every, odds, strict=True)]
+    after = [
+        with_odds(one, now) for one, (_, now) in zip(every, odds, strict=True) if now is not None
+    ]
+    monkeypatch.setattr(elimination, 'evident', lambda pool, found, effects: ('fewer', after))
+    judged = elimination.as_evident(POOL, Posterior('nothing', 'found', tuple(before), 7))
+    assert names_of(judged.effects) == ['one:x', 'three:x']
+    assert [one.log_odds for one in judged.effects] == pytest.approx([4.0, 2.0])
+    assert (judged.nothing, judged.found, judged.tried) == ('nothing', 'fewer', 7)

@@ -9,6 +9,7 @@ left is fitted anew through the simulation, and the logs have the last word.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import logit
@@ -16,7 +17,7 @@ from scipy.special import logit
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last, without
-from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import names_of
@@ -83,6 +84,14 @@ def evident(
         with_odds(one, odds_of[one.best.cause.name]) if one.best.cause.name in odds_of else one
         for one in left
     ]
+
+
+def as_evident(pool: CandidatePool, posterior: Posterior) -> Posterior:
+    """Return a posterior without what is not evident beside all others in it, none surer than before."""
+    most = {one.best.cause.name: one.log_odds for one in posterior.effects}
+    found, effects = evident(pool, posterior.found, posterior.effects)
+    judged = (with_odds(one, min(one.log_odds, most[one.best.cause.name])) for one in effects)
+    return replace(posterior, found=found, effects=tuple(judged))
 
 
 def odds_beside(
