@@ -235,53 +235,83 @@ class CandidatePool:
         Return what could be in place of the last cause of a hypothesis, with linear fits, best first.
 
         That is what gains what the cause does, in the linear problem beside the others
-        (`screening.alike`).
+        (`screening.alike`). What each changes is found beside these: two that do the same there may not
+        in the nominal model.
         """
-        problem = self.problem
-        of_others = self.signatures_of(found)[:-1]
-        near = self.could_stand_for(found, of_others)
-        if not near:
-            return []
-        base = evaluate(problem, found.causes[:-1])
-        changes = signatures(problem, base, near, self.workers, self.progress)
-        return screen(
-            problem, base, near, changes, of_others, self.settings.prior_scales, self.workers
-        )
-
-    def could_stand_for(self, found: Hypothesis, of_others: Sequence[Signature]) -> list[Cause]:
-        """
-        Return which candidates can stand for the last cause of a hypothesis (`in_place_of`).
-
-        `of_others` are the signatures of its other causes.
-        """
-        problem, cause = self.problem, found.causes[-1]
+        problem, of_others = self.problem, self.signatures_of(found)[:-1]
         try:
             base = evaluate(problem, found.causes[:-1])
         except UserError:  # the machine does not stand without it
             return []
-        blocks = problem.touched(cause.effect, cause.axis)
+        rivals, same = self._in_its_blocks(found), self._same_beside(base, found.causes[-1])
+        changes = signatures(problem, base, [*rivals, *same], self.workers, self.progress)
+        by_rival = dict(zip(map(id, (*rivals, *same)), changes, strict=True))
+        near = [*self._alike(base, found, of_others, rivals, changes[: len(rivals)]), *same]
+        return screen(
+            problem,
+            base,
+            near,
+            [by_rival[id(one)] for one in near],
+            of_others,
+            self.settings.prior_scales,
+            self.workers,
+        )
+
+    def could_stand_for(self, found: Hypothesis, of_others: Sequence[Signature]) -> list[Cause]:
+        """
+        Return which candidates may stand for the last cause of a hypothesis, without a simulation.
+
+        As `in_place_of`, but by what they change in the nominal model. `of_others` are the signatures of
+        its other causes.
+        """
+        try:
+            base = evaluate(self.problem, found.causes[:-1])
+        except UserError:
+            return []
+        rivals = self._in_its_blocks(found)
+        changes = [self._changes[self._at_first(one)] for one in rivals]
+        near = self._alike(base, found, of_others, rivals, changes)
+        return [*near, *self._same_beside(base, found.causes[-1])]
+
+    def _in_its_blocks(self, found: Hypothesis) -> list[Cause]:
+        """Return the candidates that change a block which the last cause of a hypothesis changes."""
+        cause = found.causes[-1]
+        blocks = set(self.problem.touched(cause.effect, cause.axis))
+        taken = {one.name for one in found.causes}
+        return [
+            one
+            for one in (*self._candidates, *self.dense)
+            if one.name not in taken
+            and not blocks.isdisjoint(self.problem.touched(one.effect, one.axis))
+        ]
+
+    def _alike(
+        self,
+        base: Hypothesis,
+        found: Hypothesis,
+        of_others: Sequence[Signature],
+        rivals: Sequence[Cause],
+        changes: Sequence[Change | None],
+    ) -> list[Cause]:
+        """Return which rivals are `screening.alike` to the last cause of `found`, beside `base`."""
+        cause = found.causes[-1]
         own = {
             block: np.concatenate(base.residuals[block])[:, None]
             - np.concatenate(found.residuals[block])[:, None]
-            for block in blocks
+            for block in self.problem.touched(cause.effect, cause.axis)
         }
-        taken = {one.name for one in found.causes}
-        rivals = [
-            (one, change)
-            for one in (*self._candidates, *self.dense)
-            if one.name not in taken
-            and not set(blocks).isdisjoint(problem.touched(one.effect, one.axis))
-            and (change := self._changes[self._at_first(one)]) is not None
-        ]
+        known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
+        return alike(base, own, known, signatures_beside(self.problem, base, of_others))
+
+    def _same_beside(self, base: Hypothesis, cause: Cause) -> list[Cause]:
+        """Return what does the same as a cause in the nominal model, and not beside those of `base`."""
+        taken = {cause.name, *(one.name for one in base.causes)}
         return [
-            *alike(base, own, rivals, signatures_beside(problem, base, of_others)),
-            *(
-                one
-                for one in self._told_apart(base)
-                if one.axis == cause.axis
-                and cause.effect.name in one.effect.same_as
-                and one.name not in taken
-            ),
+            one
+            for one in self._told_apart(base)
+            if one.axis == cause.axis
+            and cause.effect.name in one.effect.same_as
+            and one.name not in taken
         ]
 
     def _told_apart(self, base: Hypothesis) -> list[Cause]:
