@@ -18,16 +18,17 @@ from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
 from waferbot_twin.residuals.from_recording import record_of_signals
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 
 
-def pool_of(experiment, names, progress=lambda *_: None):
-    """Return a pool of effects for the log of the nominal model in an experiment."""
+def pool_of(experiment, names, progress=lambda *_: None, hidden=()):
+    """Return a pool of effects for the log of the nominal model, or one more, in an experiment."""
     nominal, timing = Variant.of(load_model('rigid')), Timing()
     motion = load_experiment(experiment)
     parameters = servo_parameters(nominal.pmac, nominal.name)
     commanded = commanded_positions(motion, parameters, timing.servo_hz)
-    signals = run_commanded(nominal, timing, commanded, timing.ticks(0.3))
+    variant = apply_all(nominal, hidden)
+    signals = run_commanded(variant, timing, commanded, timing.ticks(0.3))
     problem = Problem(nominal, [record_of_signals('log', signals)])
     return CandidatePool(problem, [find(name) for name in names], Settings(), progress)
 
@@ -74,6 +75,26 @@ def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
         assert name in {item.cause.effect.name for item in pool.in_place_of(found)}
         alone = evaluate(problem, (typical(of_axis),))
         assert name not in {item.cause.effect.name for item in pool.in_place_of(alone)}
+
+
+def test_what_could_be_in_place_of_a_cause_is_asked_beside_the_others_not_in_the_nominal_model():
+    """There drag may look like Coulomb friction; beside that it does what viscous friction does."""
+    nominal = Variant.of(load_model('rigid'))
+    frictions = tuple(
+        Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+        for name in ('coulomb_friction', 'viscous_friction')
+    )
+    names = ('viscous_friction', 'coulomb_friction', 'rolling_drag')
+    pool = pool_of('random_x_rotate', names, hidden=frictions)
+    pool.begin(evaluate(pool.problem))
+    as_there = {key[0][0]: change for key, change in pool._changes.items()}
+    for key in pool._changes:
+        if key[0][0] == 'rolling_drag:x_rotate':
+            pool._changes[key] = as_there['coulomb_friction:x_rotate']
+    found = evaluate(pool.problem, frictions)
+    known = pool.signatures_of(found)[:-1]
+    assert 'rolling_drag:x_rotate' not in {one.name for one in pool.could_stand_for(found, known)}
+    assert 'rolling_drag:x_rotate' in {item.cause.name for item in pool.in_place_of(found)}
 
 
 def test_progress_says_beside_how_many_causes():

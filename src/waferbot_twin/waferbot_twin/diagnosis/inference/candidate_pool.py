@@ -40,6 +40,7 @@ from waferbot_twin.diagnosis.proposals.screening import (
     screen,
     signatures,
     signatures_beside,
+    similar,
     that_touch,
     values_of,
 )
@@ -235,15 +236,15 @@ class CandidatePool:
         Return what could be in place of the last cause of a hypothesis, with linear fits, best first.
 
         That is what gains what the cause does, in the linear problem beside the others
-        (`screening.alike`). What each changes is found beside these: two that do the same there may not
-        in the nominal model.
+        (`screening.alike`). What each changes is found beside these, of all that may be alike: two that
+        do the same there may not in the nominal model, by which that is asked first.
         """
         problem, of_others = self.problem, self.signatures_of(found)[:-1]
         try:
             base = evaluate(problem, found.causes[:-1])
         except UserError:  # the machine does not stand without it
             return []
-        rivals, same = self._in_its_blocks(found), self._same_beside(base, found.causes[-1])
+        rivals, same = self._similar(base, found), self._same_beside(base, found.causes[-1])
         changes = signatures(problem, base, [*rivals, *same], self.workers, self.progress)
         by_rival = dict(zip(map(id, (*rivals, *same)), changes, strict=True))
         near = [*self._alike(base, found, of_others, rivals, changes[: len(rivals)]), *same]
@@ -285,6 +286,32 @@ class CandidatePool:
             and not blocks.isdisjoint(self.problem.touched(one.effect, one.axis))
         ]
 
+    def _similar(self, base: Hypothesis, found: Hypothesis) -> list[Cause]:
+        """
+        Return the candidates that are `screening.similar` to the last cause of `found`.
+
+        By what they and the cause change in the nominal model, and by what the cause changes now.
+        """
+        cause = found.causes[-1]
+        own = [self._change_of_last(base, found)]
+        for one in (*self._candidates, *self.dense):
+            change = self._changes[self._at_first(one)] if one.name == cause.name else None
+            if change is not None:
+                own.append(change.signature)
+        rivals = self._in_its_blocks(found)
+        changes = [self._changes[self._at_first(one)] for one in rivals]
+        known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
+        return similar(base, own, known)
+
+    def _change_of_last(self, base: Hypothesis, found: Hypothesis) -> Signature:
+        """Return what the last cause of `found` takes away, as one column by block."""
+        cause = found.causes[-1]
+        return {
+            block: np.concatenate(base.residuals[block])[:, None]
+            - np.concatenate(found.residuals[block])[:, None]
+            for block in self.problem.touched(cause.effect, cause.axis)
+        }
+
     def _alike(
         self,
         base: Hypothesis,
@@ -294,12 +321,7 @@ class CandidatePool:
         changes: Sequence[Change | None],
     ) -> list[Cause]:
         """Return which rivals are `screening.alike` to the last cause of `found`, beside `base`."""
-        cause = found.causes[-1]
-        own = {
-            block: np.concatenate(base.residuals[block])[:, None]
-            - np.concatenate(found.residuals[block])[:, None]
-            for block in self.problem.touched(cause.effect, cause.axis)
-        }
+        own = self._change_of_last(base, found)
         known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
         return alike(base, own, known, signatures_beside(self.problem, base, of_others))
 

@@ -411,6 +411,37 @@ def alike(
     return found
 
 
+def similar(
+    base: Hypothesis, own: Sequence[Signature], rivals: Sequence[tuple[Cause, Change]]
+) -> list[Cause]:
+    """
+    Return which of the rivals do in one direction what a cause may do, by any of its signatures `own`.
+
+    The largest cosine c between what the two can change, white as the residuals of `base` are, has
+
+        c^2 >= ALIKE.
+
+    What other causes could do of it is not taken out: so these are more than are `alike`.
+    """
+    blocks = tuple(own[0])
+    spans = [_spanned(base, one, blocks) for one in own]
+    found = []
+    for rival, change in rivals:
+        span = _spanned(base, change.signature, blocks)
+        if any(np.linalg.norm(one.T @ span, 2) ** 2 >= ALIKE for one in spans if span.size):
+            found.append(rival)
+    return found
+
+
+def _spanned(base: Hypothesis, signature: Signature, blocks: Sequence[str]) -> Array:
+    """Return an orthonormal basis (N, r) of what a signature can change in some blocks."""
+    places = [(name, n) for name in blocks for n in range(len(base.fits[name].whitened))]
+    before = [base.fits[name].whitened[n] for name, n in places]
+    own = {name: rows for name, rows in signature.items() if name in blocks}
+    rows = np.vstack(_in_places(places, before, _white(base, own)))
+    return np.asarray(rows @ spanning(rows.T @ rows))
+
+
 _White = dict[str, list[Array]]
 """By block, the white signature of every channel: (N, k)."""
 
