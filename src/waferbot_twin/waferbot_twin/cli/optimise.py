@@ -136,11 +136,13 @@ def _front(
     variations: Sequence[Variation],
     limits: Sequence[Limit],
 ) -> int:
-    from waferbot_twin.sweep.front_report import FILES, summary, write
-    from waferbot_twin.sweep.pareto import check_installed, pareto_front
+    from waferbot_twin.sweep.front_report import FILES, check_writable, summary, write
+    from waferbot_twin.sweep.pareto import pareto_front
 
-    check_installed('pymoo', *(() if options.out is None else ('pyarrow',)))
-    output = None if options.out is None else OutputFolder(options.out, options.force)
+    output = None
+    if options.out is not None:
+        check_writable()
+        output = OutputFolder(options.out, options.force)
     with workers_of(options) as workers, progress_bar('optimising') as progress:
         found = pareto_front(task, variations, limits, options.generations, workers, progress)
     kept = keep(output, lambda folder: write(found, folder))

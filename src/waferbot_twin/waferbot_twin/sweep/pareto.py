@@ -9,7 +9,6 @@ dominates it: it has room for as many points as a population, spread over the fr
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -54,14 +53,7 @@ class Front:
     @property
     def front(self) -> pd.DataFrame:
         """The rows of the front, in order."""
-        return self.points[self.points[NUMBER] > 0].sort_values(NUMBER)
-
-
-def check_installed(*modules: str) -> None:
-    """Raise `UserError` if one of these modules is missing, before a long search."""
-    for name in modules:
-        if importlib.util.find_spec(name) is None:
-            raise UserError(f'several --minimise need {name}: python -m pip install {name}')
+        return _front_of(self.points)
 
 
 def pareto_front(
@@ -72,7 +64,11 @@ def pareto_front(
     workers: int = 1,
     progress: Progress = lambda done, total: None,
 ) -> Front:
-    """Return the front of all the task's measures; raises `UserError` if no point can be run."""
+    """
+    Return the front of all the task's measures.
+
+    Raises `UserError` if no point can be run to its end, or pymoo is not installed.
+    """
     size = max(LEAST_POPULATION, POPULATION * len(variations))
     objectives = task.measures
     run = Populations(task, variations, limits, workers, size * (generations + 1), progress)
@@ -100,12 +96,16 @@ def pareto_front(
     points[KEPT] = ended & (excess(limits, run.names, measures) <= 0.0).all(axis=1)
     points[NUMBER] = _numbers(points, paths, list(objectives), last)
     parameters = [one.parameter for one in variations]
-    front = points[points[NUMBER] > 0].sort_values(NUMBER)
     variants = tuple(
-        overlaid(task.variant, parameters, point) for point in front[paths].to_numpy(float)
+        overlaid(task.variant, parameters, point)
+        for point in _front_of(points)[paths].to_numpy(float)
     )
     before = run.at(np.array([one.start for one in parameters]))
     return Front(objectives, run.names, tuple(paths), points, before, variants)
+
+
+def _front_of(points: pd.DataFrame) -> pd.DataFrame:
+    return points[points[NUMBER] > 0].sort_values(NUMBER)
 
 
 def _numbers(
