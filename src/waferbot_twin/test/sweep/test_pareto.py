@@ -112,6 +112,16 @@ def test_nothing_that_was_run_and_keeps_the_limits_dominates_the_front(rigid, mo
         assert variant.pmac['y_rotate']['Ixx30'] == row[paths[0]]
 
 
+def test_a_range_with_fewer_points_than_a_population_is_a_front_without_twins(rigid, monkeypatch):
+    def evaluate(task, point):
+        return [point[0], -point[0]], ''
+
+    monkeypatch.setattr(populations, 'evaluate', evaluate)
+    task, variations, _ = task_of(rigid, ['pmac.y_rotate.Ixx30=2000:2010'])
+    found = pareto_front(task, variations, (), 20)
+    assert found.front[CURRENT].tolist() == list(range(2000, 2011))
+
+
 def test_the_picture_shows_the_front_and_no_outlier_makes_it_small(rigid, monkeypatch, tmp_path):
     def evaluate(task, point):
         a = point[0] / 1000.0

@@ -112,11 +112,14 @@ def _numbers(
     points: pd.DataFrame, paths: list[str], objectives: list[str], last: Floats
 ) -> np.ndarray:
     """Return the place of every point on the front, 0 for one that is not on it."""
-    of_last = {point.tobytes() for point in last}
-    there = np.array([point.tobytes() in of_last for point in points[paths].to_numpy(float)])
+    # A point that was given up and came again was run twice: the first run of it counts.
+    first: dict[bytes, int] = {}
+    for place, point in enumerate(points[paths].to_numpy(float)):
+        first.setdefault(point.tobytes(), place)
     kept = points[KEPT].to_numpy(bool)
     values = points[objectives].to_numpy(float)
-    candidates = np.flatnonzero(there & kept)
+    candidates = np.array([first[point.tobytes()] for point in last])
+    candidates = candidates[kept[candidates]]
     front = candidates[nondominated(values[candidates], values[kept])]
     # By the first objective, then by the next ones.
     order = np.lexsort(values[front].T[::-1])
