@@ -3,18 +3,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import signal
+import threading
+from contextlib import contextmanager
 
 import numpy as np
 import pandas as pd
 import pytest
 from harness import wait_until
 
+import waferbot as wb
+from waferbot_twin.calibration.search import STAGES, search
+from waferbot_twin.calibration.values import calibrated
+from waferbot_twin.cluster import cluster
+from waferbot_twin.sweep.evaluation import Task
+from waferbot_twin.sweep.pareto import pareto_front
+from waferbot_twin.sweep.variation import parse_variations
 from waferbot_twin.version import git_revision
 
-pytest.importorskip('distributed', reason='--cluster needs distributed, which is not installed')
+distributed = pytest.importorskip(
+    'distributed', reason='--cluster needs distributed, which is not installed'
+)
 
 WHAT = (
     'sweep', '--model', 'rigid', '--vary', 'pmac.y_rotate.Ixx30=3000:7000:6',
@@ -80,6 +92,60 @@ def test_a_sweep_on_two_workers_survives_the_loss_of_one(scheduler, start, tmp_p
     pd.testing.assert_frame_equal(found, here, check_exact=True)
     assert len(found) == 24
     assert np.isfinite(found['rms_following_error.y_rotate']).all()
+
+
+@contextmanager
+def on_workers(address):
+    """Give the number of cores of a cluster; at least two of its workers must have worked."""
+    with (
+        distributed.Client(address, set_as_default=False) as watcher,
+        distributed.get_task_stream(watcher) as stream,
+        cluster(address) as cores,
+    ):
+        yield cores
+    assert len({task['worker'] for task in stream.data}) >= 2
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_a_front_an_identification_and_a_calibration_on_two_workers(scheduler, tmp_path):
+    """To the last bit as in one process; during the front one of the workers is killed."""
+    pytest.importorskip('pymoo', reason='fronts need pymoo, which is not installed')
+    address, workers = scheduler(2)
+    model = wb.load_model('rigid')
+    log = wb.synthesize(
+        model, ['viscous_friction:x_rotate'], tmp_path / 'log', 'step_x_rotate'
+    ).log
+    names = ['bodies.x_rotate_load.inertia_kg_m2.xx', 'pmac.x_rotate.Ixx31']
+    with on_workers(address) as cores:
+        there = wb.identify(model, [log], names, workers=cores).parameters
+    here = wb.identify(model, [log], names, workers=1).parameters
+    pd.testing.assert_frame_equal(there, here, check_exact=True)
+
+    stage, start = dataclasses.replace(STAGES['y_rotate'], population=8), calibrated()
+    with on_workers(address) as cores:
+        there = search(stage, start, 1, workers=cores)
+    assert there == search(stage, start, 1)
+
+    variations = parse_variations(
+        ('pmac.y_rotate.Ixx30=2000:8000', 'pmac.y_rotate.Ixx31=2000:8000'), model.variant
+    )
+    measures = ('peak_current_a.y_rotate', 'rms_following_error.y_rotate')
+    paths = tuple(one.path for one in variations)
+    task = Task(model.variant, paths, 'step_y_rotate', measures)
+    killers = []
+
+    def kill_one(done, total):
+        if not killers and done < total // 2:
+            # Between two batches nothing would be lost: in the middle of the next one.
+            killers.append(threading.Timer(0.1, workers[0].process.kill))
+            killers[0].start()
+
+    with on_workers(address) as cores:
+        there = pareto_front(task, variations, (), 1, cores, kill_one)
+    assert workers[0].process.wait(10) == -signal.SIGKILL
+    here = pareto_front(task, variations, (), 1)
+    pd.testing.assert_frame_equal(there.points, here.points, check_exact=True)
 
 
 @pytest.mark.slow

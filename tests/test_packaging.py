@@ -47,10 +47,10 @@ KEYS = {
 WITHOUT_KEY = {'mcap', 'rosbags', 'zstandard'}
 """pip installs them beside rosdep, as README says; zstandard comes with mcap."""
 
-NOT_INSTALLED = {'SALib', 'distributed', 'fmpy', 'pyarrow'}
+NOT_INSTALLED = {'SALib', 'distributed', 'fmpy', 'pyarrow', 'pymoo'}
 """
-Imported where they are there; who uses `sweep`, `--cluster`, `--plant` or has logs in Parquet installs
-them.
+Imported where they are there; who uses `sweep`, `optimise` with several measures, `--cluster`, `--plant`
+or has logs in Parquet installs them.
 """
 
 NOT_IMPORTED = {'robot_state_publisher', 'sros2'}

@@ -345,6 +345,19 @@ def test_parameters_of_plant_and_controller_come_back(rigid):
     )
 
 
+def test_two_workers_identify_the_same_to_the_last_bit(rigid):
+    machine = changed(rigid, {'bodies.x_rotate_load.inertia_kg_m2.xx': 1.1})
+    logs = [log(machine, 'step_x_rotate', seed, 0.2) for seed in (24, 25)]
+    names = ['bodies.x_rotate_load.inertia_kg_m2.xx', 'pmac.x_rotate.Ixx31']
+    one, two = (
+        identify(rigid, logs, [], parse_all(names, rigid), silent, workers=workers).estimate
+        for workers in (1, 2)
+    )
+    np.testing.assert_array_equal(one.scaled, two.scaled)
+    np.testing.assert_array_equal(one.conditioning.covariance, two.conditioning.covariance)
+    assert one.scaled[0] == pytest.approx(math.log(1.1), abs=0.02)
+
+
 @pytest.mark.slow
 def test_force_constant_and_inertia_of_a_frictionless_axis_are_known_as_a_ratio(rigid):
     names = [

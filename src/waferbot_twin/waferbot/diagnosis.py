@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +27,7 @@ from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
 from waferbot_twin.titles import with_titles
+from waferbot_twin.workers import number_of
 
 
 @dataclass(frozen=True)
@@ -199,15 +199,14 @@ def diagnose(
         find(name)
     if not logs:
         raise UserError('give one log at least')
-    if workers is not None and workers < 1:
-        raise UserError(f'workers is {workers}; it must be at least 1')
+    workers = number_of(workers)
     records = records_of([*logs, *validation], model)
     details = diagnose_records(
         model.variant,
         records[: len(logs)],
         records[len(logs) :],
         progress or _silent,
-        workers or os.cpu_count() or 1,
+        workers,
         without,
         settings,
         read_known(None if library is None else Path(library), machine),

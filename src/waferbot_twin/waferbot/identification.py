@@ -19,6 +19,7 @@ from waferbot_twin.identification.named_parameters import parse_all
 from waferbot_twin.library.known import read_known
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
+from waferbot_twin.workers import number_of
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def identify(
     progress: Callable[[int, int], None] | None = None,
     library: str | Path | None = None,
     machine: str = '',
+    workers: int | None = None,
 ) -> Identification:
     """
     Fit named parameters of a model to logs.
@@ -78,7 +80,8 @@ def identify(
     `parameters` are paths, `bodies.carriage.mass_kg`, `pmac.y_linear.Ixx30`, each with a range if it
     has another than ten times smaller or larger, `...=low:high`. `validation` are logs with another
     motion in which the gain is measured. `library` is a file of `waferbot library`: what it knows of
-    `machine` takes part. Raises `UserError` for an unknown path, and if the logs show none of them.
+    `machine` takes part. So many `workers` simulate side by side, as there are cores by default. Raises
+    `UserError` for an unknown path, and if the logs show none of them.
     """
     details = identify_records(
         model.variant,
@@ -87,6 +90,7 @@ def identify(
         parse_all(parameters, model.variant),
         progress or _silent,
         read_known(None if library is None else Path(library), machine),
+        number_of(workers),
     )
     remarks = tuple(report.remarks(details))
     return Identification(model, Model(details.identified), remarks, details)

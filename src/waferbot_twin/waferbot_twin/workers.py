@@ -19,6 +19,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+from waferbot_lockstep.errors import UserError
+
 LOOK_S = 0.5
 """Between two looks for the parent; a compiled function that is being run comes to its end before."""
 
@@ -29,6 +31,13 @@ UNUSED_S = 600.0
 
 # joblib ends a worker that has grown, starts another one and says so: nothing is lost.
 warnings.filterwarnings('ignore', 'A worker stopped while some jobs were given to the executor')
+
+
+def number_of(workers: int | None) -> int:
+    """Return a number of workers, all cores for None; raises `UserError` if it is below 1."""
+    if workers is not None and workers < 1:
+        raise UserError(f'workers is {workers}; it must be at least 1')
+    return workers or os.cpu_count() or 1
 
 
 def end_with_parent(end: Callable[[int], None] = os._exit) -> None:

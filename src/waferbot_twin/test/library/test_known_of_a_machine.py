@@ -185,7 +185,7 @@ def test_what_cannot_be_is_said_in_one_line(tmp_path, capsys):
         (['library', 'start', 'rigid', '--library', str(file), '--out', 'x.yaml'], 'has nothing'),
         (
             ['identify', 'log', '--method', 'least-squares', '--machine', 'a'],
-            'belong to --method simulation',
+            '--machine belongs to --method simulation',
         ),
     ):
         assert main(arguments) == 1

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import differential_evolution
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.batches import in_batches
 from waferbot_twin.calibration.as_built import (
     AS_BUILT_PAYLOAD,
     AS_BUILT_Y_ROTATE,
@@ -24,6 +25,7 @@ from waferbot_twin.calibration.nominal import (
     evaluate_y_rotate,
 )
 from waferbot_twin.calibration.values import Unknown, Values
+from waferbot_twin.differential_evolution import minimise
 
 IMPOSSIBLE = 1e3
 """Cost of a candidate that is no machine."""
@@ -61,13 +63,15 @@ def search(
     start: Mapping[str, float],
     generations: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    workers: int = 1,
 ) -> Values:
     """
     Return `start` with the stage's unknowns improved by differential evolution.
 
     The first population is the start, a cloud around it, and a quarter anywhere within the bounds.
-    Zero generations return the start. `progress` is called with the candidates judged and to judge; it
-    may end early, when the population has become one point.
+    Zero generations return the start. So many `workers` judge candidates side by side. `progress` is
+    called with the candidates judged and to judge; it may end early, when the population has become one
+    point.
     """
     steps = stage.generations if generations is None else generations
     if steps == 0:
@@ -85,29 +89,25 @@ def search(
 
     judged = 0
 
-    def cost(point: np.ndarray) -> float:
+    def costs(points: np.ndarray) -> np.ndarray:
         nonlocal judged
-        try:
-            return stage.evaluate(_with(start, stage, point)).cost
-        except (UserError, np.linalg.LinAlgError):
-            return IMPOSSIBLE
-        finally:
-            judged += 1
+        found: list[float] = []
+        for batch in in_batches(functools.partial(_cost, stage, start), points, workers):
+            found += batch
+            judged += len(batch)
             progress(judged, (steps + 1) * stage.population)
+        return np.array(found)
 
-    found = differential_evolution(
-        cost,
-        list(zip(low, high, strict=True)),
-        init=crowd,
-        seed=SEED,
-        maxiter=steps,
-        strategy='currenttobest1bin',
-        mutation=(0.4, 0.9),
-        recombination=0.8,
-        polish=False,
-        tol=1e-9,
-    )
-    return _with(start, stage, found.x)
+    best, _ = minimise(costs, low, high, steps, crowd, 1e-9)
+    return _with(start, stage, best)
+
+
+def _cost(stage: Stage, start: Mapping[str, float], point: np.ndarray) -> float:
+    """Return what a candidate costs."""
+    try:
+        return stage.evaluate(_with(start, stage, point)).cost
+    except (UserError, np.linalg.LinAlgError):
+        return IMPOSSIBLE
 
 
 def _with(start: Mapping[str, float], stage: Stage, point: np.ndarray) -> Values:

@@ -35,6 +35,7 @@ from waferbot_twin.cli.console import (
     result_console,
 )
 from waferbot_twin.cli.keeping import keep
+from waferbot_twin.cli.workers import add_workers, workers_of
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import significant
 
@@ -59,6 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--start', type=Path, metavar='FILE', help='begin at the values of a calibrated.yaml'
     )
+    add_workers(parser)
     parser.add_argument('--out', type=Path, metavar='DIR', help='write the result to this folder')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
@@ -77,29 +79,30 @@ def execute(options: argparse.Namespace) -> int:
     as_built = start['as_built_payload'] | start['as_built_y_rotate']
     result: dict[str, Any] = {}
     stages = options.stage or STAGES
-    for number, name in enumerate(stages, 1):
-        stage = KNOWN[name]
-        begun_s = time.perf_counter()
-        departs = name.startswith('as_built')
-        begun_at = as_built if departs else values
-        with progress_bar(f'calibrating {name} ({number} of {len(stages)})') as progress:
-            found = search(stage, begun_at, generations, progress)
-        if departs:
-            as_built = found
-        else:
-            values = found
-        evaluation = stage.evaluate(found)
-        result[name] = {
-            'cost': evaluation.cost,
-            'penalties': evaluation.penalties,
-            'demands': evaluation.demands,
-            'values': {unknown.name: found[unknown.name] for unknown in stage.unknowns},
-            'rows': [
-                {**dataclasses.asdict(residual), 'tolerances': residual.tolerances}
-                for residual in evaluation.residuals
-            ],
-            'run_time_s': time.perf_counter() - begun_s,
-        }
+    with workers_of(options) as workers:
+        for number, name in enumerate(stages, 1):
+            stage = KNOWN[name]
+            begun_s = time.perf_counter()
+            departs = name.startswith('as_built')
+            begun_at = as_built if departs else values
+            with progress_bar(f'calibrating {name} ({number} of {len(stages)})') as progress:
+                found = search(stage, begun_at, generations, progress, workers)
+            if departs:
+                as_built = found
+            else:
+                values = found
+            evaluation = stage.evaluate(found)
+            result[name] = {
+                'cost': evaluation.cost,
+                'penalties': evaluation.penalties,
+                'demands': evaluation.demands,
+                'values': {unknown.name: found[unknown.name] for unknown in stage.unknowns},
+                'rows': [
+                    {**dataclasses.asdict(residual), 'tolerances': residual.tolerances}
+                    for residual in evaluation.residuals
+                ],
+                'run_time_s': time.perf_counter() - begun_s,
+            }
     kept = keep(output, lambda folder: _write(folder, values, as_built))
     if options.json:
         print_json(result)

@@ -16,7 +16,6 @@ Exit codes: 0 done, 1 an error; with --fail-on, of what is met the first of
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +23,7 @@ from typing import TYPE_CHECKING
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import print_json, progress_of_stages
 from waferbot_twin.cli.keeping import keep
+from waferbot_twin.cli.workers import add_workers, workers_of
 from waferbot_twin.output_folder import OutputFolder
 
 if TYPE_CHECKING:
@@ -74,12 +74,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--machine', default='', metavar='NAME', help='which machine of it this is'
     )
-    parser.add_argument(
-        '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
-    )
-    parser.add_argument(
-        '--cluster', metavar='ADDRESS', help='send the work to the Dask scheduler at this address'
-    )
+    add_workers(parser)
     parser.add_argument(
         '--fail-on', action='append', default=[], choices=tuple(CONDITIONS),
         help='exit with another code if this is so (may be given several times; see above)',
@@ -91,11 +86,8 @@ def execute(options: argparse.Namespace) -> int:
     """Diagnose, write the report, say the sentence."""
     import waferbot
     from waferbot_twin.cli.print_diagnosis import print_diagnosis
-    from waferbot_twin.cluster import cluster
     from waferbot_twin.diagnosis.report import as_dict, write
 
-    if options.workers < 1:
-        raise UserError(f'--workers is {options.workers}; it must be at least 1')
     if options.library is not None and not options.machine:
         raise UserError(
             '--library is asked what it knows of one machine: say which with --machine'
@@ -103,13 +95,13 @@ def execute(options: argparse.Namespace) -> int:
     model = waferbot.load_model(options.model)
     logs, validation = waferbot.load_logs(options.measured), waferbot.load_logs(options.validate)
     output = OutputFolder(options.out, options.force)
-    with cluster(options.cluster) as cores, progress_of_stages('diagnosis') as progress:
+    with workers_of(options) as workers, progress_of_stages('diagnosis') as progress:
         result = waferbot.diagnose(
             model,
             logs,
             validation,
             without=options.without,
-            workers=cores or options.workers,
+            workers=workers,
             progress=progress,
             library=options.library,
             machine=options.machine,

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 from waferbot_twin.cli.keeping import keep
+from waferbot_twin.cli.workers import add_workers, workers_of
 from waferbot_twin.output_folder import OutputFolder
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--model', metavar='NAME|FILE',
         help='a model, or the description of a machine alone (default: rigid; for least squares none)',
     )  # fmt: skip
+    add_workers(parser)
     of_squares = parser.add_argument_group('with --method least-squares')
     of_squares.add_argument(
         '--with', dest='terms', action='append', default=[], metavar='TERM',
@@ -91,8 +93,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Identify, write the report, print the table."""
     if options.method == LEAST_SQUARES:
-        if options.library or options.machine:
-            raise UserError('--library and --machine belong to --method simulation')
+        for name in ('library', 'machine', 'cluster'):
+            if getattr(options, name):
+                raise UserError(f'--{name} belongs to --method simulation')
         if options.parameter:
             raise UserError(
                 '--method least-squares names its parameters itself; leave --parameter out'
@@ -127,8 +130,8 @@ def _simulation(options: argparse.Namespace) -> int:
     records = load_records([*options.measured, *options.validate], nominal)
     records, judging = records[: len(options.measured)], records[len(options.measured) :]
     output = None if options.out is None else OutputFolder(options.out, options.force)
-    with progress_bar('identification') as progress:
-        result = identify(nominal, records, judging, parameters, progress, known)
+    with workers_of(options) as workers, progress_bar('identification') as progress:
+        result = identify(nominal, records, judging, parameters, progress, known, workers)
     kept = keep(output, lambda folder: write(result, folder))
     if options.json:
         print_json(as_dict(result))

@@ -10,13 +10,13 @@ waferbot run and waferbot synthesize take.
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.cli.seeds import add_seed
+from waferbot_twin.cli.workers import add_workers, workers_of
 from waferbot_twin.output_folder import OutputFolder
 
 SHOWN = 12
@@ -53,19 +53,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder for the experiment')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
-    parser.add_argument(
-        '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
-    )
-    parser.add_argument(
-        '--cluster', metavar='ADDRESS', help='send the work to the Dask scheduler at this address'
-    )
+    add_workers(parser)
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Rate the experiments, print the table, write the best."""
     from waferbot_lockstep.timing import Timing
-    from waferbot_twin.cluster import cluster
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
     from waferbot_twin.residuals.problem import apply_all
@@ -78,8 +72,6 @@ def execute(options: argparse.Namespace) -> int:
         raise UserError('give either the report of a diagnosis or --rivals')
     if not 0.0 < options.noise <= 100.0:
         raise UserError(f'--noise is {options.noise:g}; it must be above 0 and at most 100')
-    if options.workers < 1:
-        raise UserError(f'--workers is {options.workers}; it must be at least 1')
     report = {} if options.report is None else read_report(options.report)
     variant = Variant.of(load_model(options.model or report.get('model', 'rigid')))
     group = (
@@ -95,8 +87,8 @@ def execute(options: argparse.Namespace) -> int:
         Timing(),
         tuple(options.without),
     )
-    with cluster(options.cluster) as cores, progress_bar('simulating experiments') as progress:
-        found = suggest(machine, group.rivals, progress, cores or options.workers)
+    with workers_of(options) as workers, progress_bar('simulating experiments') as progress:
+        found = suggest(machine, group.rivals, progress, workers)
     kept = keep(output, lambda folder: write(found, folder))
     what = 'report: {}/report.json' if found.best is None else 'experiment: {}/experiment.yaml'
     if options.json:

@@ -10,13 +10,13 @@ started again. DIR gets sweep.parquet, sweep.png and sweep.json.
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.cli.seeds import add_seed
+from waferbot_twin.cli.workers import add_workers, workers_of
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import significant
 
@@ -54,12 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='points of sobol; of saltelli N x (parameters + 2) (default: 128)',
     )  # fmt: skip
     add_seed(parser, 'of the points')
-    parser.add_argument(
-        '--workers', type=int, default=os.cpu_count() or 1, help='processes (default: all cores)'
-    )
-    parser.add_argument(
-        '--cluster', metavar='ADDRESS', help='run the points on the Dask scheduler at this address'
-    )
+    add_workers(parser)
     parser.add_argument('--out', type=Path, metavar='DIR', help='a new folder for the result')
     parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
@@ -68,7 +63,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Run the points, write the table, print what came out."""
     from waferbot_pmac.experiments import load_experiment
-    from waferbot_twin.cluster import cluster
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
     from waferbot_twin.sweep import report, sweep
@@ -78,8 +72,6 @@ def execute(options: argparse.Namespace) -> int:
 
     if not 1 <= options.samples <= MOST_POINTS:
         raise UserError(f'--samples is {options.samples}; it must be 1 to {MOST_POINTS}')
-    if options.workers < 1:
-        raise UserError(f'--workers is {options.workers}; it must be at least 1')
     variant = Variant.of(load_model(options.model))
     variations = parse_variations(options.vary, variant)
     measures = check_measures(options.measure, variant)
@@ -89,8 +81,8 @@ def execute(options: argparse.Namespace) -> int:
     task = Task(variant, paths, options.experiment, measures)
     output = None if options.out is None else OutputFolder(options.out, options.force)
     parts = None if options.out is None else sweep.parts_folder(options.out)
-    with cluster(options.cluster) as cores, progress_bar(f'{len(made)} points') as progress:
-        table = sweep.run(task, made, cores or options.workers, parts, progress)
+    with workers_of(options) as workers, progress_bar(f'{len(made)} points') as progress:
+        table = sweep.run(task, made, workers, parts, progress)
     found = None
     if options.method == 'saltelli':
         try:

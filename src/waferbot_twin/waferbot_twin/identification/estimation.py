@@ -17,6 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
@@ -75,26 +76,29 @@ class Estimate:
 
 
 def estimate(
-    problem: Problem, parameters: Sequence[NamedParameter], progress: Progress
+    problem: Problem,
+    parameters: Sequence[NamedParameter],
+    progress: Progress,
+    workers: int = 1,
 ) -> Estimate:
     """
-    Return the parameters that make the logs most likely.
+    Return the parameters that make the logs most likely; so many simulations run side by side.
 
     Raises `UserError` if nothing in the logs shows any of them, or if the model cannot be simulated
     with the values that it begins with.
     """
     scaled: Array = np.zeros(len(parameters))
-    before = after = evaluate(problem, _causes(parameters, scaled))
+    before = after = evaluate(problem, _causes(parameters, scaled), workers)
     settled = False
     for done in range(ROUNDS):
         progress(done, ROUNDS)
-        better, errors = _Fitting(problem, parameters, after).least_squares(scaled)
+        better, errors = _Fitting(problem, parameters, after, workers).least_squares(scaled)
         settled = bool(np.all(np.abs(better - scaled) < SETTLED * errors))
         scaled = better
-        after = evaluate(problem, _causes(parameters, scaled))
+        after = evaluate(problem, _causes(parameters, scaled), workers)
         if settled:
             break
-    fitting = _Fitting(problem, parameters, after)
+    fitting = _Fitting(problem, parameters, after, workers)
     return Estimate(
         tuple(parameters),
         scaled,
@@ -158,19 +162,23 @@ class _Fitting:
     """The least-squares problem of some parameters, with noise of the colour that a hypothesis has."""
 
     def __init__(
-        self, problem: Problem, parameters: Sequence[NamedParameter], now: Hypothesis
+        self,
+        problem: Problem,
+        parameters: Sequence[NamedParameter],
+        now: Hypothesis,
+        workers: int,
     ) -> None:
         self.problem = problem
+        self.workers = workers
         self.parameters = tuple(parameters)
         self.half_ranges = np.array([parameter.half_range for parameter in parameters])
-        self._touched = [
-            problem.touched(parameter.cause(0.0).effect, MODEL) for parameter in parameters
-        ]
-        seen = {block for blocks in self._touched for block in blocks}
+        touched = [problem.touched(parameter.cause(0.0).effect, MODEL) for parameter in parameters]
+        seen = {block for blocks in touched for block in blocks}
         self.blocks = tuple(block for block in problem.blocks if block in seen)
         if not self.blocks:
             names = ', '.join(parameter.path for parameter in parameters)
             raise UserError(f'these logs have no signal that could show {names}')
+        self._touched = [[block for block in self.blocks if block in blocks] for blocks in touched]
         self._whitening = {
             block: Whitening(now.fits[block], now.residuals[block]) for block in self.blocks
         }
@@ -179,46 +187,74 @@ class _Fitting:
             for block in self.blocks
         }
 
-    def residual(self, scaled: Array, blocks: Sequence[str]) -> Array:
+    def residual(self, scaled: Array, blocks: Sequence[str], workers: int = 1) -> Array:
         """Return the white residuals of some blocks, stacked; raises `UserError`."""
         variant = apply_all(self.problem.nominal, _causes(self.parameters, scaled))
         return np.concatenate(
             [
                 white
                 for block in blocks
-                for white in self._whitening[block](self.problem.residuals(variant, block))
+                for white in self._whitening[block](
+                    self.problem.residuals(variant, block, workers)
+                )
             ]
         )
 
     def jacobian(self, scaled: Array, step: float) -> Array:
         """Return the derivatives of the white residuals by central differences, (N, k)."""
-        columns = [
-            self._derivative(scaled, place, max(step, parameter.resolution))
+        ends = [
+            self._ends(scaled, place, max(step, parameter.resolution))
             for place, parameter in enumerate(self.parameters)
         ]
-        return np.column_stack(columns)
+        tasks = [(place, end) for place, both in enumerate(ends) for end in both]
+        # Simulations let other threads run. To a cluster's workers the logs are sent once to each.
+        parts = [tasks[first :: self.workers] for first in range(min(self.workers, len(tasks)))]
+        found = Parallel(n_jobs=self.workers, prefer='threads')(
+            delayed(_changed_residuals)(self, part) for part in parts
+        )
+        residuals = [found[task % len(parts)][task // len(parts)] for task in range(len(tasks))]
+        return np.column_stack(
+            [
+                self._column(place, ends[place], residuals[2 * place], residuals[2 * place + 1])
+                for place in range(len(ends))
+            ]
+        )
 
-    def _derivative(self, scaled: Array, place: int, step: float) -> Array:
-        ends = []
-        for side in (step, -step):
-            end = scaled.copy()
+    def changed_residual(self, place: int, scaled: Array) -> dict[str, Array]:
+        """Return the white residuals by block, of those in which a parameter shows."""
+        return {block: self.residual(scaled, [block]) for block in self._touched[place]}
+
+    def _ends(self, scaled: Array, place: int, step: float) -> tuple[Array, Array]:
+        """Return the scaled values with one of them a step higher, and a step lower."""
+        ahead, back = scaled.copy(), scaled.copy()
+        for end, side in ((ahead, step), (back, -step)):
             end[place] = held(self.parameters[place], scaled[place] + side)
-            ends.append(end)
-        ahead, back = ends
-        parts = []
-        for block in self.blocks:
-            if block in self._touched[place]:
-                change = self.residual(ahead, [block]) - self.residual(back, [block])
-                parts.append(change / (ahead[place] - back[place]))
-            else:
-                parts.append(np.zeros(self._lengths[block]))
-        return np.concatenate(parts)
+        return ahead, back
+
+    def _column(
+        self,
+        place: int,
+        ends: tuple[Array, Array],
+        ahead: dict[str, Array],
+        back: dict[str, Array],
+    ) -> Array:
+        """Return a column of the Jacobian: zeros in blocks in which the parameter does not show."""
+        width = ends[0][place] - ends[1][place]
+        return np.concatenate(
+            [
+                (ahead[block] - back[block]) / width
+                if block in ahead
+                else np.zeros(self._lengths[block])
+                for block in self.blocks
+            ]
+        )
 
     def least_squares(self, scaled: Array) -> tuple[Array, Array]:
         """Return the best scaled values, and their standard errors."""
 
         def residual(tried: Array) -> Array:
-            return np.concatenate([self.residual(tried, self.blocks), tried / self.half_ranges])
+            white = self.residual(tried, self.blocks, self.workers)
+            return np.concatenate([white, tried / self.half_ranges])
 
         def derivative(tried: Array) -> Array:
             return np.vstack([self.jacobian(tried, STEP), np.diag(1.0 / self.half_ranges)])
@@ -235,6 +271,12 @@ class _Fitting:
         fine, coarse = (self.jacobian(scaled, step) for step in (STEP, 2.0 * STEP))
         # The error of a central difference grows with the square of its step.
         return conditioning(fine, (coarse - fine) / 3.0, list(self.half_ranges))
+
+
+def _changed_residuals(
+    fitting: _Fitting, tasks: Sequence[tuple[int, Array]]
+) -> list[dict[str, Array]]:
+    return [fitting.changed_residual(place, end) for place, end in tasks]
 
 
 def held(parameter: NamedParameter, scaled: float) -> float:

@@ -73,16 +73,19 @@ def identify(
     parameters: Sequence[NamedParameter],
     progress: Progress,
     known: Mapping[str, Known] | None = None,
+    workers: int = 1,
 ) -> Identification:
     """
     Identify parameters of a model from logs.
 
     `known` are values from other logs of this machine, by path: they take part as readings do.
+    So many `workers` simulate side by side; the result is the same to the last bit with any number.
     Raises `UserError` if the logs show none of them or the model cannot be simulated.
     """
     begun_s = time.perf_counter()
     problem = Problem(nominal, records)
-    found, told = with_known(problem, estimate(problem, parameters, progress), known or {})
+    fitted = estimate(problem, parameters, progress, workers)
+    found, told = with_known(problem, fitted, known or {})
     identified = found.variant(nominal)
     notes = [*_notes(found), *told]
     judges = list(judging or records)

@@ -230,8 +230,13 @@ class Problem:
     def residuals(self, variant: Variant, block: str, workers: int = 1) -> list[Array]:
         """Return the residuals of a block, all channels of all logs, so many logs at a time."""
         parts = self.blocks[block]
-        pool = Parallel(n_jobs=min(workers, len(parts)) or 1, prefer='threads')
-        every = pool(delayed(part.residuals)(variant) for part in parts)
+        count = min(workers, len(parts))
+        if count > 1:
+            pool = Parallel(n_jobs=count, prefer='threads')
+            every = pool(delayed(part.residuals)(variant) for part in parts)
+        else:
+            # Without joblib, which on a cluster sends away what is for one worker, too.
+            every = [part.residuals(variant) for part in parts]
         return [channel for of_log in every for channel in of_log]
 
     def ideal(self, causes: Sequence[Cause]) -> Problem | None:

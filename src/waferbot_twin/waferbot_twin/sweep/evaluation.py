@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One point of a sweep: the model there, run, and the measures of it."""
+"""Points of a sweep: the model there, run, and the measures of it; all of them as a table."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
@@ -32,6 +33,12 @@ of a limit that an axis' motor and drive, or another part, has to bear (`sizing`
 """
 
 OF_PARTS = ('winding_temperature_degc', 'load_percent')
+
+ERROR = 'error'
+"""The column that says why a point has no measures."""
+
+Found = tuple[list[float], str]
+"""What `evaluate` returns."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ def check_measures(texts: Sequence[str], variant: Variant) -> tuple[str, ...]:
     return tuple(dict.fromkeys(texts))
 
 
-def evaluate(task: Task, point: np.ndarray) -> tuple[list[float], str]:
+def evaluate(task: Task, point: np.ndarray) -> Found:
     """
     Return the measures at a point, and '' or why there are none.
 
@@ -99,3 +106,16 @@ def evaluate(task: Task, point: np.ndarray) -> tuple[list[float], str]:
             warm = [row.value for row in rows if (row.part, row.what) == (part, WINDINGS)]
             values.append(warm[0] if warm else math.nan)
     return values, '' if alive else 'the run blew up, or a motor was killed'
+
+
+def as_table(
+    task: Task, points: np.ndarray, found: Sequence[Found], places: Sequence[int]
+) -> pd.DataFrame:
+    """Return a row for each point (n, k): parameters by path, measures, `error`; index `places`."""
+    columns: dict[str, object] = {
+        path: points[:, column] for column, path in enumerate(task.paths)
+    }
+    for column, measure in enumerate(task.measures):
+        columns[measure] = [values[column] for values, _ in found]
+    columns[ERROR] = [error for _, error in found]
+    return pd.DataFrame(columns, index=pd.Index(places, name='point'))

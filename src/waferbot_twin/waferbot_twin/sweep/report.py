@@ -18,7 +18,8 @@ import pandas as pd
 from waferbot_twin.html_page import save_picture
 from waferbot_twin.plain_values import finite
 from waferbot_twin.recording.writer import as_json
-from waferbot_twin.sweep.sweep import ERROR
+from waferbot_twin.sweep.evaluation import ERROR
+from waferbot_twin.sweep.parallel_coordinates import parallel_coordinates, width_in
 
 FILES = ('sweep.parquet', 'sweep.png', 'sweep.json')
 
@@ -67,27 +68,11 @@ def draw(
 ) -> None:
     """Draw every point as a line over its parameters and measures, coloured by the first measure."""
     names = [name for name in table.columns if name != ERROR]
-    shown = table[names].replace([np.inf, -np.inf], np.nan).dropna()
     count = 1 if sensitivity is None else 2
-    figure, panels = plt.subplots(
-        count, 1, figsize=(max(7.0, 1.9 * len(names)), 4.2 * count), squeeze=False
-    )
+    figure, panels = plt.subplots(count, 1, figsize=(width_in(names), 4.2 * count), squeeze=False)
     panel = panels[0, 0]
-    if not shown.empty:
-        low, high = shown.min(), shown.max()
-        scaled = (shown - low) / (high - low).replace(0.0, 1.0)
-        colours = plt.get_cmap('viridis')(scaled[measures[0]])
-        for row, colour in zip(scaled.to_numpy(), colours, strict=True):
-            panel.plot(range(len(names)), row, color=colour, lw=0.8, alpha=0.7)
-        for place, name in enumerate(names):
-            panel.axvline(place, color='black', lw=0.6)
-            panel.text(place, -0.04, f'{low[name]:.4g}', ha='center', va='top', fontsize=8)
-            panel.text(place, 1.04, f'{high[name]:.4g}', ha='center', va='bottom', fontsize=8)
-    panel.set_xticks(range(len(names)), [name.replace('.', '.\n') for name in names], fontsize=8)
-    panel.tick_params(axis='x', pad=14)
-    panel.set_yticks([])
-    panel.set_ylim(-0.02, 1.02)
-    panel.set_title(f'{len(shown)} of {len(table)} points; colour: {measures[0]}', pad=18)
+    shown = parallel_coordinates(panel, table, names, measures[0])
+    panel.set_title(f'{shown} of {len(table)} points; colour: {measures[0]}', pad=18)
     if sensitivity is not None:
         _draw_sensitivity(panels[1, 0], sensitivity)
     figure.tight_layout()

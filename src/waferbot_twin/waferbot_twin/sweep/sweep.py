@@ -10,27 +10,23 @@ number of processes.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import joblib
 import numpy as np
 import pandas as pd
 
 from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.sweep.evaluation import Task, evaluate
+from waferbot_twin.batches import in_batches
+from waferbot_twin.sweep.evaluation import Task, as_table, evaluate
 
 PARTS = '.waferbot-sweep'
-BATCH = 8
-"""Points of a batch per process: what is lost at most when a sweep is broken off."""
-
-ERROR = 'error'
-
 Progress = Callable[[int, int], None]
 
 
@@ -53,16 +49,15 @@ def run(
     missing = [place for place in range(len(points)) if place not in done.index]
     pieces = [done] if len(done) else []
     progress(len(done), len(points))
-    size = BATCH * workers
-    with joblib.Parallel(n_jobs=workers) as parallel:
-        for start in range(0, len(missing), size):
-            batch = missing[start : start + size]
-            found = parallel(joblib.delayed(evaluate)(task, points[place]) for place in batch)
-            piece = _table(task, points[batch], found, batch)
-            pieces.append(piece)
-            if parts is not None:
-                _keep(piece, parts / f'part-{batch[0]:07d}.parquet')
-            progress(len(points) - len(missing) + start + len(batch), len(points))
+    ran = 0
+    for found in in_batches(functools.partial(evaluate, task), points[missing], workers):
+        batch = missing[ran : ran + len(found)]
+        ran += len(found)
+        piece = as_table(task, points[batch], found, batch)
+        pieces.append(piece)
+        if parts is not None:
+            _keep(piece, parts / f'part-{batch[0]:07d}.parquet')
+        progress(len(points) - len(missing) + ran, len(points))
     return pd.concat(pieces).sort_index()
 
 
@@ -107,18 +102,6 @@ def _begin(parts: Path, plan: dict[str, object]) -> pd.DataFrame:
         )
     pieces = [pd.read_parquet(one) for one in sorted(parts.glob('part-*.parquet'))]
     return pd.concat(pieces) if pieces else pd.DataFrame()
-
-
-def _table(
-    task: Task, points: np.ndarray, found: list[tuple[list[float], str]], places: list[int]
-) -> pd.DataFrame:
-    columns: dict[str, object] = {
-        path: points[:, column] for column, path in enumerate(task.paths)
-    }
-    for column, measure in enumerate(task.measures):
-        columns[measure] = [values[column] for values, _ in found]
-    columns[ERROR] = [error for _, error in found]
-    return pd.DataFrame(columns, index=pd.Index(places, name='point'))
 
 
 def _keep(piece: pd.DataFrame, file: Path) -> None:

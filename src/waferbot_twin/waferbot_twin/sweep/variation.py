@@ -96,9 +96,13 @@ def points(variations: Sequence[Variation], method: str, samples: int, seed: int
         except ImportError as error:
             raise UserError('saltelli needs SALib: python -m pip install SALib') from error
         found = sobol.sample(problem(variations), samples, calc_second_order=False, seed=seed)
-    whole = [place for place, one in enumerate(variations) if one.parameter.whole]
-    found[:, whole] = np.rint(found[:, whole])
-    return np.asarray(found, float)
+    return held(variations, np.asarray(found, float))
+
+
+def held(variations: Sequence[Variation], points: Floats) -> Floats:
+    """Return points (n, k), or one (k,), with whole numbers where the device holds them."""
+    whole = [one.parameter.whole for one in variations]
+    return np.where(whole, np.rint(points), points)
 
 
 def problem(variations: Sequence[Variation]) -> dict[str, object]:
