@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 
 Vector = NDArray[np.float64]
@@ -413,3 +414,18 @@ class Description:
     provenance: Mapping[str, str]
     formulation: str = MULTIBODY
     payload: Payload | None = None
+
+    def turns(self, axis: str) -> bool:
+        """
+        Tell whether an axis turns (positions in rad, forces in Nm) or slides (m, N).
+
+        The coordinate that it is says so, not its name. Raises `KeyError` for an axis that the
+        machine lacks.
+        """
+        return self.revolute[self.axes[axis]]
+
+    @property
+    def axis_units(self) -> dict[str, str]:
+        """Unit of each axis' position, `m` or `rad`; the usual one of an axis that the machine lacks."""
+        own = {axis: 'rad' if self.turns(axis) else 'm' for axis in self.axes}
+        return {axis: own.get(axis, USUAL_UNITS[axis]) for axis in AXES}

@@ -59,8 +59,7 @@ def amplified_axes(variant: Variant) -> tuple[str, ...]:
 
 def rotary(variant: Variant, axis: str) -> bool:
     """Return whether an axis turns."""
-    description = variant.base.description
-    return bool(description.revolute[description.axes[axis]])
+    return variant.base.description.turns(axis)
 
 
 def coordinate(variant: Variant, axis: str) -> str:
