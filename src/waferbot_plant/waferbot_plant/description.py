@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, USUAL_UNITS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_UNITS
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 
 Vector = NDArray[np.float64]
@@ -423,6 +423,19 @@ class Description:
         machine lacks.
         """
         return self.revolute[self.axes[axis]]
+
+    def motor_turns(self, axis: str) -> bool:
+        """Tell whether the motor of an axis turns, as that of a belt or a screw that makes it slide."""
+        return self.revolute[self.motors[axis].coordinate]
+
+    def position_encoder(self, axis: str) -> str:
+        """
+        Return the encoder that positions an axis: of its places in the contract the first that there is.
+
+        That behind the transmission comes before that on the motor. The first place where there is none.
+        """
+        places = [name for name in ENCODERS if AXIS_OF[name] == axis]
+        return next((name for name in places if name in self.encoders), places[0])
 
     @property
     def axis_units(self) -> dict[str, str]:

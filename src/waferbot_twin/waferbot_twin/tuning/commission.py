@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from waferbot_copley.current_loop import gains_from_motor
-from waferbot_lockstep.contract import AXES, ENCODERS, usual_axis
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, usual_axis
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import statics
@@ -37,13 +37,6 @@ from waferbot_twin.models import SHIPPED, load_model
 from waferbot_twin.tuning.gains import AxisScale, Tuning, loop_gains
 
 DAMPING_RATIO = 0.7
-
-ENCODERS_OF = {
-    'y_linear': ('y_linear',),
-    'x_rotate': ('x_rotate',),
-    'y_rotate': ('y_rotate_load', 'y_rotate_motor'),
-}
-"""Places of the contract from which the position of an axis may come, the best one first."""
 
 FATAL_ERROR = {'m': 2e-3, 'rad': 2e-2}
 
@@ -153,11 +146,10 @@ def _amplifier(axis: _Axis, variant: Variant) -> dict[str, Any]:
 
 def _feedback(axis: _Axis, description: Description, name: str) -> dict[str, Any]:
     """Return the I-variables of an axis that follow from its encoder."""
-    place = next((one for one in ENCODERS_OF[name] if one in description.encoders), None)
-    if place is None:
-        raise UserError(
-            f'axis {name} has no encoder; it is to be {" or ".join(ENCODERS_OF[name])}'
-        )
+    place = description.position_encoder(name)
+    if place not in description.encoders:
+        wanted = ' or '.join(one for one in ENCODERS if AXIS_OF[one] == name)
+        raise UserError(f'axis {name} has no encoder; it is to be {wanted}')
     encoder = description.encoders[place]
     counts = encoder.counts_per_unit * axis.ratio(encoder.coordinate)
     if counts <= 0.0:
