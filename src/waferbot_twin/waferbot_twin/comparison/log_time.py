@@ -9,6 +9,7 @@ from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.comparison.traces import Array
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.residuals.record import Record
 
@@ -47,7 +48,7 @@ def beginning_s(record: Record, log: MeasuredLog, variant: Variant) -> float:
     """
     best = (np.inf, 0.0)
     for axis in log.usable_axes():
-        encoder = places.position_encoder(variant, axis)
+        encoder = POSITION_ENCODER[axis]
         if axis not in places.motor_axes(variant) or encoder not in variant.description.encoders:
             continue
         place = ENCODERS.index(encoder)

@@ -22,7 +22,7 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.frequency_response.compare import read_log
 from waferbot_twin.frequency_response.simulated import simulated_log
-from waferbot_twin.logs.machine import MOTOR_ENCODER
+from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, MeasuredLog, Signal
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.from_measured_log import aligned_record, with_short_pauses_of
@@ -108,10 +108,12 @@ def _described(log: MeasuredLog, variant: Variant) -> MeasuredLog:
         if commanded is None:
             continue
         signals.append(commanded)
-        own = places.position_encoder(variant, axis)
-        for kind, encoder in (('position', own), ('motor_position', MOTOR_ENCODER[axis])):
+        for kind, encoder in (
+            ('position', POSITION_ENCODER[axis]),
+            ('motor_position', MOTOR_ENCODER[axis]),
+        ):
             signal = log.get(axis, kind)
-            if signal is None or (kind != 'position' and encoder == own):
+            if signal is None or (kind != 'position' and encoder == POSITION_ENCODER[axis]):
                 continue
             place = ENCODERS.index(encoder)
             rows, time_s = reading_times_s(record, variant, place)

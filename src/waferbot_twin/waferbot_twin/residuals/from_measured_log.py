@@ -39,7 +39,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, common_skew
 from waferbot_twin.logs.counting import AVERAGE, FLOOR, ROUND, counted, told_by_both
 from waferbot_twin.logs.kinds import DRIVES
-from waferbot_twin.logs.machine import MOTOR_ENCODER
+from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, ZERO_ORDER, MeasuredLog, Signal
 from waferbot_twin.logs.pauses import Clock, with_short_pauses
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
@@ -615,7 +615,7 @@ def _positions(log: MeasuredLog, variant: Variant, axis: str) -> list[tuple[Sign
 
     Raises `UserError` if the model has no encoder for its position.
     """
-    encoder, second = places.position_encoder(variant, axis), MOTOR_ENCODER[axis]
+    encoder, second = POSITION_ENCODER[axis], MOTOR_ENCODER[axis]
     encoders = variant.description.encoders
     if encoder not in encoders:
         raise UserError(
