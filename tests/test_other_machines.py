@@ -146,11 +146,18 @@ def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, tmp_path):
     )
 
 
-def test_a_ball_screw_stage_is_diagnosed(commissioned, tmp_path):
-    model = commissioned('ball_screw_stage')
-    hidden = ('--effect', 'coulomb_friction:y_linear,friction=25', '--model', model)
-    stroke = written(tmp_path, STROKE)
-    for seed, experiment in enumerate((stroke, 'step_y_linear')):
+@pytest.mark.parametrize(
+    ('name', 'axis', 'force_n', 'motions'),
+    [
+        ('ball_screw_stage', 'y_linear', 25, (STROKE, 'step_y_linear')),
+        ('gantry', 'x_rotate', 15, (TRAVELS, SLOW)),
+    ],
+)
+def test_hidden_friction_is_diagnosed(name, axis, force_n, motions, commissioned, tmp_path):
+    model = commissioned(name)
+    hidden = ('--effect', f'coulomb_friction:{axis},friction={force_n}', '--model', model)
+    for seed, motion in enumerate(motions):
+        experiment = motion if isinstance(motion, str) else written(tmp_path, motion)
         out = tmp_path / f'log{seed}'
         output_of('synthesize', *hidden, '--experiment', experiment, '--seed', seed, '--out', out)
     out = tmp_path / 'diagnosis'
@@ -166,8 +173,8 @@ def test_a_ball_screw_stage_is_diagnosed(commissioned, tmp_path):
     )
     report = json.loads((out / 'report.json').read_text())
     names = [(cause['effect'], cause['axis']) for cause in report['causes']]
-    assert ('coulomb_friction', 'y_linear') in names
-    assert report['gain']['axes']['y_linear']['improvement_percent'] > 50.0
+    assert ('coulomb_friction', axis) in names
+    assert report['gain']['axes'][axis]['improvement_percent'] > 50.0
 
 
 def test_what_a_gantry_does_is_told_in_metres(commissioned, tmp_path):
