@@ -38,7 +38,7 @@ from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node import LockstepNode, Trouble, run_node
 from waferbot_msgs.action import RunExperiment
 from waferbot_pmac import compensation, servo
-from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.experiments import check_units, commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
 from waferbot_pmac.killed import KilledMotors
 from waferbot_pmac.trajectories import brought_to_rest
@@ -269,6 +269,11 @@ class PmacNode(LockstepNode):
 
     def _load(self, experiment: str, start: np.ndarray) -> Motion:
         loaded = load_experiment(experiment)
+        try:
+            check_units(loaded, self._units)
+        except UserError as error:
+            told = f'so says parameter units, {units_text(self._units)!r}'
+            raise UserError(f'{error} ({told}; of another machine, set it)') from error
         positions = commanded_positions(
             loaded, self._model_parameters, self.timing.servo_hz, self._units
         )
