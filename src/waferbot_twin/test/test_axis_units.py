@@ -27,6 +27,7 @@ from waferbot_twin.models import load_model, load_model_or_machine
 from waferbot_twin.plan import make_plan
 from waferbot_twin.response import simulated_responses
 from waferbot_twin.response_reader import load_responses
+from waferbot_twin.ros2_control.joints import JointScales
 from waferbot_twin.suggestion.candidates import designed, library, strokes
 from waferbot_twin.sweep.sizing import size
 from waferbot_twin.tuning.commission import commission
@@ -144,6 +145,16 @@ def test_an_fmu_has_the_units_of_its_machine() -> None:
             assert variables[name] == units['x_rotate'], kind
     speed = {one.name: one.unit for one in variables_of('plant', SLIDING)[1]}['y_rotate_velocity']
     assert speed == 'm/s'
+
+
+def test_ros2_control_reads_the_encoder_by_which_an_axis_is_positioned() -> None:
+    scales = JointScales.of(described('gantry'))
+    assert scales.encoders.tolist() == [0, 1, 3]
+    positions = scales.positions(np.array([65536, 2000000, 7, 131072]))
+    assert positions == pytest.approx(
+        [0.01, 1.0, 0.125]
+    )  # a turn of the screw, 1 m, one of the pulley
+    assert scales.effort_per_ampere[1] == pytest.approx(49.0 * math.sqrt(3.0) / 2.0)
 
 
 def test_joints_of_a_gantry_slide_as_far_as_lengths_go() -> None:
