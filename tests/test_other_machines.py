@@ -14,10 +14,11 @@ from waferbot_twin.recording.reader import read_recording
 BANDWIDTHS = {
     'ball_screw_stage': ('y_linear=25',),
     'scara': ('y_linear=15', 'x_rotate=8', 'y_rotate=8'),
+    'gantry': ('y_linear=25', 'x_rotate=20', 'y_rotate=10'),
 }
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 
-pytestmark = [pytest.mark.slow, pytest.mark.long(100)]
+pytestmark = [pytest.mark.slow, pytest.mark.long(300)]
 
 
 # One as long as the stage's steps: up at full speed, a rest, and down again.
@@ -31,6 +32,53 @@ STROKE = {
         {'linear': {'y_linear_m': 0.0}, 'acceleration_time_s': 0.1, 's_curve_time_s': 0.02},
     ],
 }
+
+# All axes of the gantry slide: it is commanded in m.
+SLIDES = {
+    'name': 'slides',
+    'duration_s': 0.6,
+    'motion': {
+        axis: {'kind': 'step', 'start_s': 0.02, 'amplitude_m': 1e-4}
+        for axis in ('y_linear', 'x_rotate', 'y_rotate')
+    },
+}
+SMOOTH = {'acceleration_time_s': 0.1, 's_curve_time_s': 0.02}
+TRAVELS = {
+    'name': 'travels',
+    'duration_s': 2.0,
+    'program': [
+        {'dwell_s': 0.05},
+        {'linear': {'x_rotate_m': 0.2, 'y_rotate_m': 0.15}, **SMOOTH},
+        {'linear': {'y_linear_m': 0.05}, **SMOOTH},
+        {'dwell_s': 0.1},
+        {'linear': {'x_rotate_m': 0.0, 'y_rotate_m': 0.0, 'y_linear_m': 0.0}, **SMOOTH},
+    ],
+}
+SLOW = {
+    'name': 'slow',
+    'duration_s': 1.5,
+    'program': [
+        {'dwell_s': 0.05},
+        {
+            'linear': {'x_rotate_m': -0.1, 'y_rotate_m': 0.08, 'y_linear_m': 0.04},
+            'move_time_s': 0.4,
+            **SMOOTH,
+        },
+        {'dwell_s': 0.1},
+        {
+            'linear': {'x_rotate_m': 0.0, 'y_rotate_m': 0.0, 'y_linear_m': 0.0},
+            'move_time_s': 0.4,
+            **SMOOTH,
+        },
+    ],
+}
+
+
+def written(folder, experiment):
+    """Return the file of an experiment."""
+    file = folder / f'{experiment["name"]}.yaml'
+    file.write_text(json.dumps(experiment), 'utf-8')
+    return file
 
 
 @pytest.fixture(scope='module')
@@ -53,7 +101,8 @@ def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(name, commissio
     pytest.importorskip('fmpy')
     model, fmu = commissioned(name), tmp_path / 'plant.fmu'
     output_of('export-fmu', '--model', model, '--out', fmu)
-    what = ('run', '--model', model, '--experiment', 'step', '--duration', '0.03')
+    experiment = written(tmp_path, SLIDES) if name == 'gantry' else 'step'
+    what = ('run', '--model', model, '--experiment', experiment, '--duration', '0.03')
     ways = {
         'here': ('--engine', 'inprocess'),
         'ros': (),
@@ -95,12 +144,18 @@ def test_a_scara_is_tuned_at_every_bend_of_its_elbow(commissioned, tmp_path):
     )
 
 
-def test_a_ball_screw_stage_is_diagnosed(commissioned, tmp_path):
-    model = commissioned('ball_screw_stage')
-    hidden = ('--effect', 'coulomb_friction:y_linear,friction=25', '--model', model)
-    stroke = tmp_path / 'stroke.yaml'
-    stroke.write_text(json.dumps(STROKE), 'utf-8')
-    for seed, experiment in enumerate((stroke, 'step_y_linear')):
+@pytest.mark.parametrize(
+    ('name', 'axis', 'force_n', 'motions'),
+    [
+        ('ball_screw_stage', 'y_linear', 25, (STROKE, 'step_y_linear')),
+        ('gantry', 'x_rotate', 15, (TRAVELS, SLOW)),
+    ],
+)
+def test_hidden_friction_is_diagnosed(name, axis, force_n, motions, commissioned, tmp_path):
+    model = commissioned(name)
+    hidden = ('--effect', f'coulomb_friction:{axis},friction={force_n}', '--model', model)
+    for seed, motion in enumerate(motions):
+        experiment = motion if isinstance(motion, str) else written(tmp_path, motion)
         out = tmp_path / f'log{seed}'
         output_of('synthesize', *hidden, '--experiment', experiment, '--seed', seed, '--out', out)
     out = tmp_path / 'diagnosis'
@@ -116,5 +171,36 @@ def test_a_ball_screw_stage_is_diagnosed(commissioned, tmp_path):
     )
     report = json.loads((out / 'report.json').read_text())
     names = [(cause['effect'], cause['axis']) for cause in report['causes']]
-    assert ('coulomb_friction', 'y_linear') in names
-    assert report['gain']['axes']['y_linear']['improvement_percent'] > 50.0
+    assert ('coulomb_friction', axis) in names
+    assert report['gain']['axes'][axis]['improvement_percent'] > 50.0
+
+
+def test_what_a_gantry_does_is_told_in_metres(commissioned, tmp_path):
+    model, run = commissioned('gantry'), tmp_path / 'run'
+    slides = written(tmp_path, SLIDES)
+    output_of(
+        'run', '--model', model, '--experiment', slides, '--delivery', 'channel', '--out', run
+    )
+    found = json.loads(output_of('metrics', run, '--json'))
+    for axis in SLIDES['motion']:
+        assert found[axis]['unit'] == 'm'
+        assert abs(found[axis]['step'] - 1e-4) < 1e-6
+    picture = tmp_path / 'run.svg'
+    output_of('plot', run, '--out', picture)
+    drawn = picture.read_text()
+    assert 'position [µm]' in drawn
+    assert 'rad]' not in drawn.replace('tilt [rad]', '')
+
+
+def test_a_gantry_is_tuned(commissioned, tmp_path):
+    out, experiment = tmp_path / 'tuned', dict(SLIDES)
+    experiment['motion'] = {'y_rotate': SLIDES['motion']['y_rotate']}
+    output_of(
+        'tune', '--model', commissioned('gantry'), '--experiment', written(tmp_path, experiment),
+        '--generations', '6', '--out', out,
+    )  # fmt: skip
+    margins = json.loads((out / 'tune.json').read_text())['margins']
+    after = [row for row in margins if row['gains'] == 'after']
+    assert len(after) == 1  # at home: the poses of the shipped machine are in rad
+    assert all(row['stable'] for row in after)
+    assert min(row['phase_deg'] for row in after) >= 35.0

@@ -9,6 +9,7 @@ a topic, each with its own axes. The message files in `waferbot_msgs` give units
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from waferbot_lockstep.timing import Timing
@@ -21,6 +22,25 @@ ENCODERS = ('y_linear', 'x_rotate', 'y_rotate_load', 'y_rotate_motor')
 
 AXIS_OF = dict(zip(ENCODERS, (*AXES, AXES[-1]), strict=True))
 """The axis that each encoder is on."""
+
+USUAL_UNITS: Mapping[str, str] = {'y_linear': 'm', 'x_rotate': 'rad', 'y_rotate': 'rad'}
+"""
+The unit of each axis' position where no machine is described, as on the shipped one.
+
+Where one is, it says so: `Description.axis_units` of `waferbot_plant`.
+"""
+
+
+def usual_axis(axis: str, unit: str) -> str:
+    """
+    Return the axis of the shipped machine whose numbers suit an axis with this unit, `m` or `rad`.
+
+    It is the axis of that name, if it has the unit there, otherwise the first one that has it.
+    """
+    if USUAL_UNITS[axis] == unit:
+        return axis
+    return next(one for one in AXES if USUAL_UNITS[one] == unit)
+
 
 ALL_AXES = 0b111
 ALL_ENCODERS = 0b1111

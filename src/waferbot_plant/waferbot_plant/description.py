@@ -36,6 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_UNITS
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 
 Vector = NDArray[np.float64]
@@ -417,3 +418,31 @@ class Description:
     provenance: Mapping[str, str]
     formulation: str = MULTIBODY
     payload: Payload | None = None
+
+    def turns(self, axis: str) -> bool:
+        """
+        Tell whether an axis turns (positions in rad, forces in Nm) or slides (m, N).
+
+        The coordinate that it is says so, not its name. Raises `KeyError` for an axis that the
+        machine lacks.
+        """
+        return self.revolute[self.axes[axis]]
+
+    def motor_turns(self, axis: str) -> bool:
+        """Tell whether the motor of an axis turns, as that of a belt or a screw that makes it slide."""
+        return self.revolute[self.motors[axis].coordinate]
+
+    def position_encoder(self, axis: str) -> str:
+        """
+        Return the encoder that positions an axis: of its places in the contract the first that there is.
+
+        That behind the transmission comes before that on the motor. The first place where there is none.
+        """
+        places = [name for name in ENCODERS if AXIS_OF[name] == axis]
+        return next((name for name in places if name in self.encoders), places[0])
+
+    @property
+    def axis_units(self) -> dict[str, str]:
+        """Unit of each axis' position, `m` or `rad`; the usual one of an axis that the machine lacks."""
+        own = {axis: 'rad' if self.turns(axis) else 'm' for axis in self.axes}
+        return {axis: own.get(axis, USUAL_UNITS[axis]) for axis in AXES}

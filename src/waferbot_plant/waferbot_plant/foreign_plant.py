@@ -27,9 +27,9 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import read
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.signals import COUNTS, LINES, OPEN, POSITIONS, SPEEDS, VOLTAGES, Variable
+from waferbot_plant.signals import COUNTS, LINES, OPEN, VOLTAGES, Variable, positions, speeds
 
-SHOWN = (*COUNTS, *LINES, *POSITIONS, *SPEEDS)
+SHOWN = (*COUNTS, *LINES, *positions(), *speeds())
 """What `ForeignPlant.values` returns, in this order."""
 
 NEEDED = (*VOLTAGES, *COUNTS, *LINES)

@@ -56,7 +56,7 @@ def joint_dynamics(
     rest = np.zeros((1, len(dynamics.axes)))
     found = {}
     for column, axis in enumerate(dynamics.axes):
-        highest = (speed or {}).get(axis) or HIGHEST_SPEED[_turns(description, axis)]
+        highest = (speed or {}).get(axis) or HIGHEST_SPEED[description.turns(axis)]
         at = highest * (np.arange(POINTS) + 0.5) / POINTS
         both = []
         for sign in (1.0, -1.0):
@@ -84,15 +84,6 @@ def force_ratio(dynamics: InverseDynamics, axis: str) -> float:
     _, to_motor = machine.assembly.placing[machine.description.motors[axis].coordinate]
     _, to_axis = machine.assembly.placing[machine.description.axes[axis]]
     return float(to_motor / to_axis)
-
-
-def _turns(description: Description, axis: str) -> bool:
-    coordinate = description.axes[axis]
-    for joint in description.joints.values():
-        for freedom in joint.freedoms:
-            if freedom.name == coordinate:
-                return freedom.revolute
-    return True
 
 
 def mjcf(description: Description, dynamics: Mapping[str, JointDynamics] | None = None) -> str:

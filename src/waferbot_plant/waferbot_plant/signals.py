@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from waferbot_lockstep.contract import AXES, ENCODERS
-
-UNITS = {'y_linear': 'm', 'x_rotate': 'rad', 'y_rotate': 'rad'}
+from waferbot_lockstep.contract import AXES, ENCODERS, USUAL_UNITS
 
 
 @dataclass(frozen=True)
@@ -38,9 +37,18 @@ LINES = tuple(
 COUNTS = tuple(
     Variable(f'{name}_counts', 'count', f'encoder {name}, as published') for name in ENCODERS
 )
-POSITIONS = tuple(
-    Variable(f'{axis}_position', UNITS[axis], f'{axis}: where it is') for axis in AXES
-)
-SPEEDS = tuple(
-    Variable(f'{axis}_velocity', f'{UNITS[axis]}/s', f'{axis}: how fast it is') for axis in AXES
-)
+
+
+def positions(units: Mapping[str, str] = USUAL_UNITS) -> tuple[Variable, ...]:
+    """Return the positions of the axes of a machine with these units, `Description.axis_units`."""
+    return tuple(
+        Variable(f'{axis}_position', units[axis], f'{axis}: where it is') for axis in AXES
+    )
+
+
+def speeds(units: Mapping[str, str] = USUAL_UNITS) -> tuple[Variable, ...]:
+    """Return the speeds of the axes of a machine with these units."""
+    return tuple(
+        Variable(f'{axis}_velocity', f'{units[axis]}/s', f'{axis}: how fast it is')
+        for axis in AXES
+    )

@@ -22,11 +22,9 @@ import numpy as np
 from waferbot_plant.description import Body, Description, Joint
 
 WORLD, BASE = 'base_link', 'base'
-LIMITS = {
-    'y_linear': (-0.5, 0.5),
-    'x_rotate': (-math.pi, math.pi),
-    'y_rotate': (-math.pi, math.pi),
-}
+LIMITS = {'prismatic': (-0.5, 0.5), 'revolute': (-math.pi, math.pi)}
+"""What a joint goes, m and rad; a description does not say."""
+
 COLOURS = ('0.55 0.57 0.60 1', '0.30 0.45 0.65 1', '0.70 0.45 0.25 1', '0.35 0.55 0.40 1')
 
 
@@ -77,7 +75,7 @@ def _moving_joint(
         name = axis_of.get(freedom.name, freedom.name)
         element = _joint(robot, name, kind, joint.parent, joint.child, tuple(offset))
         ElementTree.SubElement(element, 'axis', xyz=_text(freedom.axis))
-        low, high = LIMITS.get(name, LIMITS['y_linear'])
+        low, high = LIMITS[kind]
         ElementTree.SubElement(
             element, 'limit', lower=f'{low:g}', upper=f'{high:g}', effort='1000', velocity='10'
         )

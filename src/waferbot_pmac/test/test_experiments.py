@@ -220,7 +220,7 @@ def test_acceleration_times_are_whole_milliseconds():
 )
 def test_mistakes_are_located(text, words):
     with pytest.raises(UserError) as caught:
-        load_experiment(text + '\n')
+        positions(text + '\n')
     assert '\n' not in str(caught.value)
     for word in ['experiment text', *words]:
         assert word in str(caught.value)

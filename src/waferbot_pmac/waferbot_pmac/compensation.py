@@ -33,21 +33,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_pmac.servo import DAC_RANGE, REGISTERS_PER_COUNT
+from waferbot_pmac.user_units import Units
 
 COLUMNS = ('axis', 'over', 'at', 'current_a')
 
 TIME = 'time_s'
 """A table over the time of one experiment: `time_s:NAME`."""
-
-_OVER = {
-    'y_linear': ('position_m', 'speed_m_s'),
-    'x_rotate': ('position_rad', 'speed_rad_s'),
-    'y_rotate': ('position_rad', 'speed_rad_s'),
-}
 
 Floats = NDArray[np.float64]
 
@@ -71,28 +66,29 @@ class Table:
         return self.over.partition(':')[2]
 
 
-def over_position(axis: str) -> str:
-    """Return what a table over position is called for an axis."""
-    return _OVER[axis][0]
+def over_position(unit: str) -> str:
+    """Return what a table over position is called for an axis with this unit, `m` or `rad`."""
+    return f'position_{unit}'
 
 
-def over_speed(axis: str) -> str:
-    """Return what a table over speed is called for an axis."""
-    return _OVER[axis][1]
+def over_speed(unit: str) -> str:
+    """Return what a table over speed is called for an axis with this unit, `m` or `rad`."""
+    return f'speed_{unit}_s'
 
 
-def load_tables(path_or_text: str | Path) -> tuple[Table, ...]:
+def load_tables(path_or_text: str | Path, units: Units = USUAL_UNITS) -> tuple[Table, ...]:
     """
     Return the tables of a CSV file, or of its text (what has a line break); none for ''.
 
-    Raises `UserError` with file and line for what is wrong in it.
+    `units` says of each axis whether it is measured in m or in rad. Raises `UserError` with file and
+    line for what is wrong in it.
     """
     given = str(path_or_text)
     if not given:
         return ()
     if '\n' in given:
-        return parse_tables(given, 'compensation')
-    return parse_tables(read_text(given), given)
+        return parse_tables(given, 'compensation', units)
+    return parse_tables(read_text(given), given, units)
 
 
 def read_text(path: str | Path) -> str:
@@ -103,7 +99,7 @@ def read_text(path: str | Path) -> str:
         raise UserError(f'compensation {str(path)!r} cannot be read: {error}') from error
 
 
-def parse_tables(text: str, source: str) -> tuple[Table, ...]:
+def parse_tables(text: str, source: str, units: Units = USUAL_UNITS) -> tuple[Table, ...]:
     """Return the tables in the text of a CSV file; raises `UserError` naming `source` and line."""
     reader = csv.reader(io.StringIO(text))
     rows: dict[tuple[str, str], list[tuple[float, float]]] = {}
@@ -123,7 +119,7 @@ def parse_tables(text: str, source: str) -> tuple[Table, ...]:
         if len(cells) != len(COLUMNS):
             raise UserError(f'{where}: {len(cells)} values; there must be {len(COLUMNS)}')
         axis, over = cells[0].strip(), cells[1].strip()
-        _check_names(where, axis, over)
+        _check_names(where, axis, over, units)
         at, current = (
             _number(where, name, cell) for name, cell in zip(COLUMNS[2:], cells[2:], strict=True)
         )
@@ -139,12 +135,13 @@ def parse_tables(text: str, source: str) -> tuple[Table, ...]:
     )
 
 
-def _check_names(where: str, axis: str, over: str) -> None:
+def _check_names(where: str, axis: str, over: str, units: Units) -> None:
     if axis not in AXES:
         raise UserError(f'{where}: no axis {axis!r}{did_you_mean(axis, AXES)}')
-    known = (*_OVER[axis], f'{TIME}:EXPERIMENT')
+    own = (over_position(units[axis]), over_speed(units[axis]))
+    known = (*own, f'{TIME}:EXPERIMENT')
     kind, colon, experiment = over.partition(':')
-    if over not in _OVER[axis] and not (kind == TIME and colon and experiment):
+    if over not in own and not (kind == TIME and colon and experiment):
         raise UserError(
             f'{where}: a table of {axis} cannot be over {over!r}{did_you_mean(over, known)} '
             f'(there are: {", ".join(known)})'
@@ -197,7 +194,7 @@ def offsets(
         position = position / p['counts_per_unit']
         if table.experiment:
             at = np.arange(len(position)) / servo_rate_hz
-        elif table.over == over_position(table.axis):
+        elif table.over.startswith('position_'):
             at = position
         else:
             at = np.diff(position, prepend=position[:1]) * servo_rate_hz

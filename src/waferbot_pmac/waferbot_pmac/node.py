@@ -6,7 +6,8 @@ Every I-variable is a parameter of the node (`y_linear.Ixx30`, ...), with the ma
 range; those that the controller lets you change with the loop closed can be changed while it runs
 and act from the next servo cycle. The action `run_experiment` runs a motion from wherever the axes
 are commanded to be; when it is cancelled, Ixx15 brings the motors to rest. The parameter `experiment`
-names the one that begins at tick 0.
+names the one that begins at tick 0; `units` says in what each axis is measured (`m rad rad`), as the
+node does not know the machine.
 """
 
 from __future__ import annotations
@@ -37,10 +38,11 @@ from waferbot_lockstep.newest_input import NewestInput
 from waferbot_lockstep.node import LockstepNode, Trouble, run_node
 from waferbot_msgs.action import RunExperiment
 from waferbot_pmac import compensation, servo
-from waferbot_pmac.experiments import commanded_positions, load_experiment
+from waferbot_pmac.experiments import check_units, commanded_positions, load_experiment
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
 from waferbot_pmac.killed import KilledMotors
 from waferbot_pmac.trajectories import brought_to_rest
+from waferbot_pmac.user_units import parse_units, units_text
 
 CANCELLED = 'cancelled: the motors were brought to rest'
 MILLISECONDS = 1000.0  # per second; Ixx15 and Ixx16 are per ms^2 and per ms
@@ -128,10 +130,16 @@ class PmacNode(LockstepNode):
         self._experiment = self.declare_fixed(
             'experiment', 'constant', 'what begins at tick 0: name, file or text of an experiment'
         )
+        self._units = parse_units(
+            self.declare_fixed(
+                'units', units_text(), 'm or rad of each axis, in which it is commanded'
+            )
+        )
         self._tables = compensation.load_tables(
             self.declare_fixed(
                 'compensation', '', 'currents to add by what is commanded: CSV file or its text'
-            )
+            ),
+            self._units,
         )
         self._motion = self._load(self._experiment, np.zeros(len(AXES)))
         self._counts_before = np.zeros(len(ENCODERS), np.int64)
@@ -261,7 +269,14 @@ class PmacNode(LockstepNode):
 
     def _load(self, experiment: str, start: np.ndarray) -> Motion:
         loaded = load_experiment(experiment)
-        positions = commanded_positions(loaded, self._model_parameters, self.timing.servo_hz)
+        try:
+            check_units(loaded, self._units)
+        except UserError as error:
+            told = f'so says parameter units, {units_text(self._units)!r}'
+            raise UserError(f'{error} ({told}; of another machine, set it)') from error
+        positions = commanded_positions(
+            loaded, self._model_parameters, self.timing.servo_hz, self._units
+        )
         motion = Motion(loaded.name, positions, start, self._cycle)
         self._compensate(motion)
         return motion

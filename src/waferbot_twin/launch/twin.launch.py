@@ -32,6 +32,7 @@ from launch import LaunchDescription
 from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
+from waferbot_pmac.user_units import units_text
 from waferbot_twin.models import load_model
 from waferbot_twin.security import enclave_of, environment_of
 
@@ -92,13 +93,21 @@ def make_nodes(context):
     argument = {name.name: LaunchConfiguration(name.name).perform(context) for name in ARGUMENTS}
     parameters = load_model(argument['model']).parameters
     common = {'timekeeping': argument['timekeeping']}
+    machine = load_machine(parameters['plant'].get('description', 'rigid'))
     nodes = {
         'plant': (
             'plant',
             parameters['plant'],
             {'realtime_factor': float(argument['realtime_factor'])},
         ),
-        'pmac': ('pmac', parameters['pmac'], {'experiment': argument['experiment']}),
+        'pmac': (
+            'pmac',
+            parameters['pmac'],
+            {
+                'experiment': argument['experiment'],
+                'units': units_text(machine.description.axis_units),
+            },
+        ),
     }
     if argument['copley_per_axis'] == 'true':
         for axis in AXES:
@@ -113,7 +122,6 @@ def make_nodes(context):
     unknown = [name for name in without if name not in nodes]
     if unknown:
         raise RuntimeError(f'without: no node {", ".join(unknown)}; nodes: {", ".join(nodes)}')
-    machine = load_machine(parameters['plant'].get('description', 'rigid'))
     return [
         *security(argument['secure']),
         *state_publisher(argument, machine),

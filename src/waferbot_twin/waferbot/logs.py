@@ -67,7 +67,7 @@ class Log:
             servo_s = np.arange(len(record.commanded)) / record.timing.servo_hz
             held = np.clip(np.searchsorted(servo_s, time_s, side='right') - 1, 0, None)
             for place, axis in enumerate(AXES):
-                encoder_name = ENCODERS[place]
+                encoder_name = description.position_encoder(axis)
                 if encoder_name in units and axis in model.axes:
                     per_unit = description.encoders[encoder_name].counts_per_unit
                     columns[f'{axis}_commanded_{units[encoder_name]}'] = (

@@ -33,8 +33,9 @@ from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.node_settings import NODE_PARAMETERS
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import Parameter, did_you_mean
+from waferbot_plant.description_file import load_description
 from waferbot_plant.node_settings import PLANT_PARAMETERS
-from waferbot_plant.plant import description_names
+from waferbot_plant.plant import description_names, description_source
 from waferbot_pmac.compensation import Table, load_tables, read_text
 from waferbot_pmac.i_variables import axis_parameters
 from waferbot_twin.recording.reader import Recording
@@ -43,6 +44,9 @@ DESCRIPTION_KEYS = frozenset({'bodies', 'joints', 'extends'})
 """Keys by which the description of a machine is known from a file of parameters."""
 
 NODES = ('plant', 'pmac', 'copley')
+
+SHIPPED = 'rigid'
+"""The model of the shipped machine that tells what is usual: speeds, accelerations, strokes."""
 
 
 _OF_NODE: dict[str, tuple[str, ...]] = {
@@ -79,6 +83,11 @@ class Model:
         """The machine: name, path or text of its description."""
         return str(self.parameters['plant'].get('description', 'rigid'))
 
+    @property
+    def axis_units(self) -> dict[str, str]:
+        """Unit of each axis' position, `m` or `rad`, as the machine has it; raises `UserError`."""
+        return load_description(description_source(self.description)).axis_units
+
     def with_settings(self, node: str, settings: Mapping[str, Any]) -> Model:
         """Return the model with other settings of one node laid over its own."""
         parameters = copy.deepcopy(self.parameters)
@@ -88,7 +97,8 @@ class Model:
     @property
     def compensation(self) -> tuple[Table, ...]:
         """The tables by which the PMAC adds currents; raises `UserError` for what is wrong in them."""
-        return load_tables(str(self.parameters['pmac'].get('compensation') or ''))
+        text = str(self.parameters['pmac'].get('compensation') or '')
+        return load_tables(text, self.axis_units) if text else ()
 
     def of_axes(self, node: str) -> dict[str, dict[str, Any]]:
         """Return the settings per axis of a node, without those that are not an axis'."""

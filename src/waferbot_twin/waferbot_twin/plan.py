@@ -14,7 +14,7 @@ from typing import Any
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.description_file import whole_text
 from waferbot_plant.plant import description_source
-from waferbot_pmac.experiments import Experiment, load_experiment
+from waferbot_pmac.experiments import Experiment, check_units, load_experiment
 from waferbot_twin.models import Model, load_model
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.version import git_revision
@@ -82,7 +82,9 @@ def make_plan(model: str, experiment: str, duration_s: float | None = None, seed
     timing = Timing()
     loaded = load_experiment(experiment)
     seconds = loaded.duration_s if duration_s is None else duration_s
-    return Plan(load_model(model), loaded, max(1, timing.ticks(seconds)), timing, seed)
+    found = load_model(model)
+    check_units(loaded, found.axis_units)
+    return Plan(found, loaded, max(1, timing.ticks(seconds)), timing, seed)
 
 
 def versions() -> dict[str, Any]:

@@ -19,7 +19,6 @@ from waferbot_plant.description_file import whole_text
 from waferbot_plant.plant import description_source, load_machine
 from waferbot_twin.engines.inprocess import CHUNK_TICKS, Twin
 from waferbot_twin.plan import Plan
-from waferbot_twin.response import UNITS
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def plant_differences(plan: Plan) -> list[Difference]:
     twins = [
         Twin.of(one.model, one.timing, one.experiment) for one in (plan, multibody_plan(plan))
     ]
-    servo = twins[0].servo_parameters[0]
+    servo, units = twins[0].servo_parameters[0], twins[0].machine.description.axis_units
     largest, squares = np.zeros(len(AXES), np.int64), np.zeros(len(AXES))
     low, high = np.full(len(AXES), np.inf), np.full(len(AXES), -np.inf)
     samples = 0
@@ -84,7 +83,7 @@ def plant_differences(plan: Plan) -> list[Difference]:
     return [
         Difference(
             axis,
-            UNITS[axis],
+            units[axis],
             float(largest[place] * per_count[place]),
             float(rms[place] * per_count[place]),
             int(largest[place]),

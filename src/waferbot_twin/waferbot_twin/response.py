@@ -3,19 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
-from waferbot_plant import signals
 from waferbot_twin.commutation import driving_part, electrical_angle, three_lines
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.metrics import StepMetrics, rms, step_metrics
-
-UNITS = signals.UNITS
 
 
 @dataclass(frozen=True)
@@ -133,6 +130,7 @@ def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
     ]
     return responses_of(
         timing,
+        twin.machine.description.axis_units,
         twin.servo_parameters[0],
         encoders,
         (servo_ticks, commanded, following_error),
@@ -143,6 +141,7 @@ def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
 
 def responses_of(
     timing: Timing,
+    units: Mapping[str, str],
     servo: np.void,
     encoders: tuple[np.ndarray, np.ndarray],
     servo_state: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -153,7 +152,8 @@ def responses_of(
     Return the three axes.
 
     `encoders`, `servo_state` and `current_command` are ticks and values of those topics, `currents` of
-    each axis times in s and the part that makes force, A; `servo` the settings that were used.
+    each axis times in s and the part that makes force, A; `servo` the settings that were used, `units`
+    m or rad of each axis, as the machine has it.
     """
     encoder_tick, counts = encoders
     servo_tick, commanded, following_error = servo_state
@@ -165,7 +165,7 @@ def responses_of(
         responses.append(
             AxisResponse(
                 axis,
-                UNITS[axis],
+                units[axis],
                 encoder_tick / timing.current_loop_hz - delay_s,
                 counts[:, encoder] / per_unit,
                 servo_tick / timing.current_loop_hz,

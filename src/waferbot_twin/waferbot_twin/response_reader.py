@@ -85,6 +85,7 @@ class _Gathered:
         """Begin with what is known before the first message."""
         model, where = recorded_model(header), str(header.path)
         self._timing = header.timing
+        self._units = model.axis_units
         self._servo = servo_parameters(model.of_axes('pmac'), where)[0]
         self._amplifier = amplifier_parameters(model.of_axes('copley'), self._timing, where)[0]
         self._parts: dict[Topic, list[np.ndarray]] = {topic: [] for topic in self.FIELDS}
@@ -143,6 +144,7 @@ class _Gathered:
         state, command = tables[SERVO_STATE], tables[CURRENT_COMMAND]
         return responses_of(
             self._timing,
+            self._units,
             self._servo,
             (tables[ENCODERS_TOPIC]['tick'], tables[ENCODERS_TOPIC]['counts']),
             (state['tick'], state['commanded_position'], state['following_error']),

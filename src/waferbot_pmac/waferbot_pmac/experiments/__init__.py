@@ -9,5 +9,13 @@ the commanded position of every motor in every servo cycle.
 
 from waferbot_pmac.experiments.evaluation import commanded_positions
 from waferbot_pmac.experiments.loading import Experiment, load_experiment, shipped_experiments
+from waferbot_pmac.experiments.units import check_units, suits
 
-__all__ = ['Experiment', 'commanded_positions', 'load_experiment', 'shipped_experiments']
+__all__ = [
+    'Experiment',
+    'check_units',
+    'commanded_positions',
+    'load_experiment',
+    'shipped_experiments',
+    'suits',
+]

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac import trajectories
 from waferbot_pmac.experiments.loading import LENGTH_UNITS, Experiment, Motion
+from waferbot_pmac.experiments.units import check_units
 from waferbot_pmac.trajectories import Acceleration, Floats, LinearPath
+from waferbot_pmac.user_units import Units
 
 VELOCITY_REGISTER_LIMIT = 805306368.0
 """Largest commanded velocity times Ixx08, in counts per second, that the controller can hold."""
@@ -24,7 +26,10 @@ DEFAULT_S_CURVE_TIME_S = 0.05
 
 
 def commanded_positions(
-    experiment: Experiment, parameters: np.ndarray, servo_rate_hz: float
+    experiment: Experiment,
+    parameters: np.ndarray,
+    servo_rate_hz: float,
+    units: Units = USUAL_UNITS,
 ) -> Floats:
     """
     Return the commanded positions, float64 of shape (cycles, 3), in counts of each position
@@ -35,11 +40,12 @@ def commanded_positions(
     commanded positions at the start, zero for an axis that is not named. Steps and random
     positions are whole counts, moves and sines have fractions, as on the controller.
 
-    `parameters` is a `SERVO_PARAMETERS` array: counts per unit, velocity and acceleration limits.
-    Raises `UserError` with file, line and key for what cannot be commanded: a move that is not
-    over by the end, a velocity that overflows the controller's register, a frequency above half
-    the servo rate.
+    `parameters` is a `SERVO_PARAMETERS` array: counts per unit, velocity and acceleration limits;
+    `units` says of each axis whether it is measured in m or in rad. Raises `UserError` with file, line
+    and key for what cannot be commanded: a length in another unit, a move that is not over by the end,
+    a velocity that overflows the controller's register, a frequency above half the servo rate.
     """
+    check_units(experiment, units)
     times = trajectories.cycle_times(experiment.duration_s, servo_rate_hz)
     if not times.size:
         raise UserError(

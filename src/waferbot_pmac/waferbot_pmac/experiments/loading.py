@@ -13,17 +13,14 @@ from typing import Any
 
 import jsonschema
 
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, first_complaint, parse
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 
-LENGTH_UNITS = ('m', 'rad', 'counts')
-UNITS_OF_AXIS = {
-    'y_linear': ('m', 'counts'),
-    'x_rotate': ('rad', 'counts'),
-    'y_rotate': ('rad', 'counts'),
-}
+COUNTS = 'counts'
+LENGTH_UNITS = ('m', 'rad', COUNTS)
 
 _QUANTITY_OF_KIND = {
     'step': 'amplitude',
@@ -78,7 +75,8 @@ def load_experiment(name_or_path_or_text: str | Path) -> Experiment:
     Return the experiment of that name, in that file, or with that YAML text.
 
     Text is what has a line break or begins with `{`; a name is one of `shipped_experiments`;
-    anything else is a path. Raises `UserError` with file, line and key for what is wrong in it.
+    anything else is a path. Raises `UserError` with file, line and key for what is wrong in it; whether
+    its units are those of the machine's axes is for `check_units`.
     """
     given = str(name_or_path_or_text)
     if '\n' in given or given.lstrip().startswith('{'):
@@ -113,9 +111,9 @@ def _checked(text: str, source: str) -> Experiment:
     if ('motion' in data) == ('program' in data):
         raise UserError(f'{document.where(())}: give either motion or program')
     motions = {axis: _motions(axis, given) for axis, given in data.get('motion', {}).items()}
-    for axis, added in motions.items():
+    for added in motions.values():
         for motion in added:
-            _check_motion(document, axis, motion)
+            _check_motion(document, motion)
     for place, statement in enumerate(data.get('program', [])):
         _check_statement(document, place, statement)
     return Experiment(
@@ -168,8 +166,8 @@ def _motions(axis: str, given: Any) -> tuple[Motion, ...]:
     return (Motion(('motion', axis), given),)
 
 
-def _check_motion(document: Document, axis: str, checked: Motion) -> None:
-    """Check what the schema cannot say: units of the axis, one of several keys, order of times."""
+def _check_motion(document: Document, checked: Motion) -> None:
+    """Check what the schema cannot say: one of several keys, order of times."""
     path, motion = checked.path, checked.values
     kind = motion['kind']
     if kind in _QUANTITY_OF_KIND:
@@ -181,11 +179,6 @@ def _check_motion(document: Document, axis: str, checked: Motion) -> None:
         _only_one(document, path, motion, [*speeds, 'move_time_s'])
     elif kind == 'constant_velocity' or any(key in motion for key in speeds):
         _only_one(document, path, motion, speeds)
-    for key in motion:
-        for unit in LENGTH_UNITS:
-            if key.endswith((f'_{unit}', f'_{unit}_per_s')) and unit not in UNITS_OF_AXIS[axis]:
-                wanted = ' or '.join(UNITS_OF_AXIS[axis])
-                raise UserError(f'{document.where((*path, key))}: {axis} is measured in {wanted}')
     start_s = motion.get('start_s', 0.0)
     for key in ('return_s', 'end_s'):
         if key in motion and motion[key] <= start_s:
@@ -232,7 +225,7 @@ def _check_statement(document: Document, place: int, statement: Mapping[str, Any
                 raise UserError(f'{document.where((*path, key))} belongs to a linear move')
     for mode in ('linear', 'rapid'):
         targets = statement.get(mode, {})
-        for axis in UNITS_OF_AXIS:
+        for axis in AXES:
             keys = [key for key in targets if key.startswith(axis)]
             if len(keys) > 1:
                 raise UserError(

@@ -21,7 +21,7 @@ from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
-from waferbot_twin.fmi.blocks import BLOCKS, COUNTS, LINES, OPEN, POSITIONS, VOLTAGES
+from waferbot_twin.fmi.blocks import BLOCKS, COUNTS, LINES, OPEN, VOLTAGES, positions
 from waferbot_twin.fmi.export import export
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.reader import read_recording
@@ -90,7 +90,7 @@ def test_recorded_voltages_give_the_recorded_signals(fmu, run, fmi):
     data['time'] = np.arange(ticks) * TIMING.tick_s
     for place, variable in enumerate(VOLTAGES):
         data[variable.name] = run.voltage[:, place]
-    outputs = [variable.name for variable in (*COUNTS, *LINES, *POSITIONS)]
+    outputs = [variable.name for variable in (*COUNTS, *LINES, *positions())]
     found = fmpy.simulate_fmu(
         str(fmu('plant', fmi)), stop_time=(ticks - 1) * TIMING.tick_s, input=data, output=outputs,
         output_interval=TIMING.tick_s, step_size=TIMING.tick_s, validate=False,

@@ -18,7 +18,7 @@ import yaml
 
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.foreign_plant import ForeignPlant
-from waferbot_plant.signals import COUNTS, LINES, POSITIONS, VOLTAGES
+from waferbot_plant.signals import COUNTS, LINES, VOLTAGES, positions
 from waferbot_twin.cli.main import main
 from waferbot_twin.recording.reader import read_recording
 
@@ -51,7 +51,7 @@ def test_a_reference_fmu_steps_as_fmpy_steps_it(name, fmi):
     file = FOLDER / fmi / f'{name}.fmu'
     outputs = shown(name, fmi)
     names = NOTHING | {
-        variable.name: theirs for variable, theirs in zip(POSITIONS, outputs, strict=False)
+        variable.name: theirs for variable, theirs in zip(positions(), outputs, strict=False)
     }
     plant = ForeignPlant(file, names, TIMING)
     ticks = TIMING.ticks(0.5)

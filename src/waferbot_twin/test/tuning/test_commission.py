@@ -20,6 +20,10 @@ from waferbot_twin.response import simulated_responses
 from waferbot_twin.tuning.commission import DAMPING_RATIO, commission
 
 TIMING = Timing()
+STEP_OF_THE_GANTRY = """name: step
+duration_s: 0.6
+motion: {{{}: {{kind: step, start_s: 0.02, amplitude_m: 2.0e-4}}}}
+"""
 
 
 def machine(name):
@@ -70,12 +74,18 @@ def test_settings_are_those_that_the_shipped_machine_has_by_hand():
     [
         ('ball_screw_stage', {'y_linear': 25.0}),
         ('scara', {'y_linear': 15.0, 'x_rotate': 8.0, 'y_rotate': 8.0}),
+        ('gantry', {'y_linear': 25.0, 'x_rotate': 20.0, 'y_rotate': 10.0}),
     ],
 )
 def test_other_machines_follow_with_it(name, bandwidths):
     variant = commission(machine(name), bandwidths)
     for axis in bandwidths:
-        response = stepped(variant, axis, f'step_{axis}', 0.6)
+        response = stepped(
+            variant,
+            axis,
+            STEP_OF_THE_GANTRY.format(axis) if name == 'gantry' else f'step_{axis}',
+            0.6,
+        )
         _, height = response.step()
         assert abs(response.position[-1] - response.commanded[-1]) < 0.5 * abs(height)
         assert np.abs(response.position - response.commanded[0]).max() < 2.0 * abs(height)

@@ -19,6 +19,8 @@ EXAMPLES = (
     'waferbot commission ball_screw_stage --bandwidth y_linear=25 --out stage.yaml',
     'waferbot commission scara --bandwidth y_linear=15 --bandwidth x_rotate=8 --bandwidth y_rotate=8 '
     '--out scara.yaml',
+    'waferbot commission gantry --bandwidth y_linear=25 --bandwidth x_rotate=20 --bandwidth y_rotate=10 '
+    '--out gantry.yaml',
 )
 """What `--help` shows; tests run them."""
 

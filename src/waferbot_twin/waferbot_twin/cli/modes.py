@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.cli.console import new_table, print_json, result_console, say
@@ -83,7 +83,8 @@ def execute(options: argparse.Namespace) -> int:
         description = settings.get('description', 'rigid')
         damping = options.damping or settings.get('damping', 'improved')
     machine = load_machine(description, damping=damping)
-    pose = _pose(options.pose, tuple(machine.description.axes))
+    units = machine.description.axis_units
+    pose = _pose(options.pose, {axis: units[axis] for axis in machine.description.axes})
     rows = modes.table_of_first_frequencies(machine.description)
     switches = modes.pick_simplified(machine.description, options.bandwidth)
     found = modes.coupled_modes(machine, pose)
@@ -125,20 +126,20 @@ def execute(options: argparse.Namespace) -> int:
     return 0
 
 
-def _pose(texts: list[str], axes: tuple[str, ...]) -> dict[str, float]:
-    """Return the pose that `AXIS=VALUE ...` says, m or rad."""
+def _pose(texts: list[str], units: Mapping[str, str]) -> dict[str, float]:
+    """Return the pose that `AXIS=VALUE ...` says, of axes in `units`, m or rad."""
     pose = {}
     for text in texts:
         axis, _, value = text.partition('=')
-        if axis not in axes:
-            hint = did_you_mean(axis, axes)
-            raise UserError(f'--pose {text}: no axis {axis!r}{hint}; axes are {", ".join(axes)}')
+        if axis not in units:
+            hint = did_you_mean(axis, units)
+            raise UserError(f'--pose {text}: no axis {axis!r}{hint}; axes are {", ".join(units)}')
         try:
             pose[axis] = float(value)
         except ValueError:
             pose[axis] = math.nan
         if not math.isfinite(pose[axis]):
-            raise UserError(f'--pose {text}: give a number of {"m" if axis == AXES[0] else "rad"}')
+            raise UserError(f'--pose {text}: give a number of {units[axis]}')
     return pose
 
 

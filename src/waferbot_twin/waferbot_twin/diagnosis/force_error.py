@@ -40,7 +40,6 @@ from waferbot_twin.estimation.inverse_dynamics import (
     relative_error,
 )
 from waferbot_twin.identification.least_squares import AxisFit, stretches_of
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.logs.measured import MeasuredLog
 
 
@@ -57,7 +56,7 @@ def force_error(
     if places.motor_axes(nominal) != (axis,) or fit.force_unit != places.force_unit(nominal, axis):
         return None
     late_s = fit.late_s + variant.skew_s.get(axis, 0.0)
-    late_s -= variant.description.encoders[POSITION_ENCODER[axis]].errors.delay
+    late_s -= variant.description.encoders[places.position_encoder(nominal, axis)].errors.delay
     try:
         dynamics = InverseDynamics(variant.description)
         lag_s = places.drive_lags(variant)[AXES.index(axis)]

@@ -47,7 +47,6 @@ from waferbot_twin.estimation.inverse_dynamics import (
     filtered,
 )
 from waferbot_twin.estimation.residual_curves import BINS, BinnedMeans, binned_means
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.noise_model.variance_components import Shapes
 from waferbot_twin.plain_values import with_prefix
 from waferbot_twin.plot import TITLES
@@ -126,9 +125,10 @@ def residual_forces(
     None if no log has its position long enough, or if it stands in all of them.
     """
     stretches, observers_hz = [], []
+    encoder = places.position_encoder(problem.nominal, axis)
     for place, channel in enumerate(problem.channels(PLANT)):
         log, shapes = channel.log, channel.noise.shapes
-        if channel.name != POSITION_ENCODER[axis] or not isinstance(log, PlantBlock):
+        if channel.name != encoder or not isinstance(log, PlantBlock):
             continue
         if shapes is None:
             continue

@@ -23,7 +23,6 @@ from waferbot_twin.diagnosis.findings import no_findings
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.problem import Cause
@@ -119,10 +118,9 @@ def _is_share(item: Parameter) -> bool:
 
 def metres_per_count(variant: Variant, axis: str) -> tuple[float, str]:
     """Return how far an axis goes in a count of its encoder, and the unit of that: m or rad."""
-    encoder = variant.base.description.encoders.get(POSITION_ENCODER[axis])
-    if encoder is None:
+    if places.position_encoder(variant, axis) not in variant.base.description.encoders:
         return 1.0, 'counts'
-    return 1.0 / encoder.counts_per_unit, places.length_unit(variant, axis)
+    return 1.0 / places.axis_counts(variant, axis), places.length_unit(variant, axis)
 
 
 def title(cause: Cause) -> str:

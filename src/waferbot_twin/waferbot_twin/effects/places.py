@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES
 from waferbot_plant import motors
 from waferbot_plant.assembly import Assembly, home_mass_matrix_and_weight
 from waferbot_plant.description import Body, Joint
@@ -80,8 +80,7 @@ def amplified_axes(variant: Variant) -> tuple[str, ...]:
 
 def rotary(variant: Variant, axis: str) -> bool:
     """Return whether an axis turns."""
-    description = variant.base.description
-    return bool(description.revolute[description.axes[axis]])
+    return variant.base.description.turns(axis)
 
 
 def coordinate(variant: Variant, axis: str) -> str:
@@ -96,7 +95,7 @@ def motor_coordinate(variant: Variant, axis: str) -> str:
 
 def motor_rotary(variant: Variant, axis: str) -> bool:
     """Return whether an axis' motor turns."""
-    return bool(variant.base.description.revolute[motor_coordinate(variant, axis)])
+    return variant.base.description.motor_turns(axis)
 
 
 def geared_axes(variant: Variant) -> tuple[str, ...]:
@@ -242,17 +241,24 @@ def described_limit(variant: Variant, axis: str) -> float:
     return min(controller.output_limit * amperes_per_output(variant, axis), peak)
 
 
+def position_encoder(variant: Variant, axis: str) -> str:
+    """Return the place of the encoder that positions an axis."""
+    return variant.base.description.position_encoder(axis)
+
+
+def axis_counts(variant: Variant, axis: str) -> float:
+    """Return the counts of an axis' position encoder per m or rad of the axis; 1 without one."""
+    part = variant.base.description.encoders.get(position_encoder(variant, axis))
+    if part is None or axis not in variant.base.description.axes:
+        return 1.0
+    placing = variant.base.rigid.placing
+    ratio = placing[part.coordinate][1] / placing[coordinate(variant, axis)][1]
+    return float(part.counts_per_unit * ratio)
+
+
 def counts_per_unit(variant: Variant) -> np.ndarray:
     """Return the counts (3,) of each axis' position encoder per m or rad of the axis; 1 without one."""
-    found = np.ones(len(AXES))
-    for place, axis in enumerate(AXES):
-        # The encoders of positions have the places of their axes.
-        part = variant.base.description.encoders.get(ENCODERS[place])
-        if part is not None and axis in variant.base.description.axes:
-            placing = variant.base.rigid.placing
-            ratio = placing[part.coordinate][1] / placing[coordinate(variant, axis)][1]
-            found[place] = part.counts_per_unit * ratio
-    return found
+    return np.array([axis_counts(variant, axis) for axis in AXES])
 
 
 def described_axes(variant: Variant) -> tuple[str, ...]:

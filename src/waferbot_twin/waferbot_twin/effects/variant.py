@@ -126,7 +126,8 @@ class Variant:
     @cached_property
     def compensation(self) -> tuple[Table, ...]:
         """The tables by which the PMAC adds currents."""
-        return load_tables(str(self.node_settings.get('pmac', {}).get('compensation') or ''))
+        text = str(self.node_settings.get('pmac', {}).get('compensation') or '')
+        return load_tables(text, self.description.axis_units)
 
     @cached_property
     def _servo(self) -> np.void:

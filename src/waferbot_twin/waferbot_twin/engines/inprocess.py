@@ -230,7 +230,9 @@ class Twin:
         twin = cls(
             machine, model.of_axes('pmac'), model.of_axes('copley'), timing, str(model.path)
         )
-        commanded = commanded_positions(experiment, twin.servo_parameters, timing.servo_hz)
+        commanded = commanded_positions(
+            experiment, twin.servo_parameters, timing.servo_hz, machine.description.axis_units
+        )
         twin.command(commanded, model.compensation, experiment.name)
         return twin
 

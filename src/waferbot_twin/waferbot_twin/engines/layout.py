@@ -22,6 +22,7 @@ from waferbot_lockstep.contract import (
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES
+from waferbot_pmac.user_units import units_text
 from waferbot_twin.models import NODES
 from waferbot_twin.plan import Plan
 
@@ -77,7 +78,10 @@ def layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, NodeLayout]]:
     }
     extra: dict[str, dict[str, Any]] = {
         'plant': {'start_paused': True, 'recorder_window': RECORDER_WINDOW},
-        'pmac': {'experiment': plan.experiment.text},
+        'pmac': {
+            'experiment': plan.experiment.text,
+            'units': units_text(plan.model.axis_units),
+        },
         'copley': {},
     }
     if options.device_clock:

@@ -15,11 +15,13 @@ Values are float64, SI or counts.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import plant
@@ -28,12 +30,11 @@ from waferbot_plant.signals import (
     COUNTS,
     LINES,
     OPEN,
-    POSITIONS,
-    SPEEDS,
-    UNITS,
     VOLTAGES,
     Variable,
     per_axis,
+    positions,
+    speeds,
 )
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
@@ -43,21 +44,35 @@ from waferbot_twin.engines.inprocess import open_terminals
 KINDS = ('plant', 'twin', 'pmac', 'copley')
 
 Floats = np.ndarray
-
-
-COMMANDED = tuple(
-    Variable(f'{axis}_commanded', UNITS[axis], f'{axis}: commanded position, from where it began')
-    for axis in AXES
-)
 COMMANDS = per_axis('current_command', 'A', 'current command, peak of the sine')
 ERRORS = per_axis('following_error', 'count', 'following error')
+
+Variables = tuple[Variable, ...]
+
+
+def variables_of(kind: str, units: Mapping[str, str] = USUAL_UNITS) -> tuple[Variables, Variables]:
+    """
+    Return inputs and outputs of a kind of block, in the order of its arrays.
+
+    Of a machine whose axes have these units, m or rad: `Description.axis_units`.
+    """
+    commanded = tuple(
+        Variable(
+            f'{axis}_commanded', units[axis], f'{axis}: commanded position, from where it began'
+        )
+        for axis in AXES
+    )
+    shown = (*COUNTS, *LINES, *positions(units), *speeds(units))
+    return {
+        'plant': ((*VOLTAGES, *OPEN), shown),
+        'twin': (commanded, (*shown, *COMMANDS)),
+        'pmac': ((*commanded, *COUNTS), (*COMMANDS, *ERRORS)),
+        'copley': ((*COMMANDS, *LINES, *COUNTS), (*VOLTAGES, *OPEN)),
+    }[kind]
 
 
 class PlantBlock:
     """Mechanism, motors, encoders and sensors."""
-
-    inputs = (*VOLTAGES, *OPEN)
-    outputs = (*COUNTS, *LINES, *POSITIONS, *SPEEDS)
 
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin at rest, held by the motors' currents; raises `UserError`."""
@@ -94,9 +109,6 @@ class PlantBlock:
 class PmacBlock:
     """The servo of all axes."""
 
-    inputs = (*COMMANDED, *COUNTS)
-    outputs = (*COMMANDS, *ERRORS)
-
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin with all loops open; they close at the counts of the first tick."""
         self._timing = timing
@@ -125,9 +137,6 @@ class PmacBlock:
 class CopleyBlock:
     """The amplifiers of all axes."""
 
-    inputs = (*COMMANDS, *LINES, *COUNTS)
-    outputs = (*VOLTAGES, *OPEN)
-
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin at rest; raises `UserError`."""
         self._parameters = amplifier_parameters(variant.copley, timing, variant.name)
@@ -148,9 +157,6 @@ class CopleyBlock:
 
 class TwinBlock:
     """All three in closed loop."""
-
-    inputs = COMMANDED
-    outputs = (*COUNTS, *LINES, *POSITIONS, *SPEEDS, *COMMANDS)
 
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin at rest; raises `UserError`."""

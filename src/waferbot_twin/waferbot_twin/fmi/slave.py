@@ -17,7 +17,7 @@ import numpy as np
 
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.fmi.blocks import BLOCKS, Block
+from waferbot_twin.fmi.blocks import BLOCKS, Block, variables_of
 from waferbot_twin.fmi.loader import release_at_exit
 from waferbot_twin.identification.named_parameters import parse
 from waferbot_twin.models import load_model
@@ -36,9 +36,11 @@ class Runner:
         self.about: dict[str, Any] = json.loads((folder / 'block.json').read_text('utf-8'))
         self.variant = Variant.of(load_model(str(folder / 'model.yaml')))
         self.timing = Timing()
-        kind = BLOCKS[self.about['kind']]
-        self.input_names = [variable.name for variable in kind.inputs]
-        self.output_names = [variable.name for variable in kind.outputs]
+        self.input_variables, self.output_variables = variables_of(
+            self.about['kind'], self.variant.description.axis_units
+        )
+        self.input_names = [variable.name for variable in self.input_variables]
+        self.output_names = [variable.name for variable in self.output_variables]
         self.named = {path: parse(path, self.variant) for path in self.about['parameters']}
         self.parameters = {path: one.start for path, one in self.named.items()}
         self.inputs = np.zeros(len(self.input_names))

@@ -177,6 +177,6 @@ def unit_of(channels: tuple[Channel, Channel], variant: Variant | None) -> str:
     linear = None
     if variant is not None:
         description = variant.description
-        linear = {axis: not description.revolute[name] for axis, name in description.axes.items()}
+        linear = {axis: not description.turns(axis) for axis in description.axes}
     source, target = (channel.unit(is_linear(channel.axis, linear)) for channel in channels)
     return '1' if source == target else f'({target})/({source})'

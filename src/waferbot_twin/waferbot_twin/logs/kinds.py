@@ -6,10 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from waferbot_lockstep.contract import AXES
-
-LINEAR_AXES = ('y_linear',)
-"""Axes that move by metres if no description says otherwise."""
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 
 
 @dataclass(frozen=True)
@@ -95,8 +92,8 @@ SAME_KIND = {'torque': 'force'}
 
 
 def is_linear(axis: str, linear: Mapping[str, bool] | None = None) -> bool:
-    """Tell whether an axis moves by metres; `linear` is what a description says."""
-    return (linear or {}).get(axis, axis in LINEAR_AXES)
+    """Tell whether an axis moves by metres: `linear`, what a description says, or as is usual."""
+    return (linear or {}).get(axis, USUAL_UNITS[axis] == 'm')
 
 
 def place_in_order(axis: str, kind: str) -> tuple[int, int]:

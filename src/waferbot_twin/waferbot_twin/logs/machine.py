@@ -72,10 +72,7 @@ def machine_of(description: Description) -> Machine:
     """Return the constants of a description."""
     return Machine(
         description.name,
-        {
-            axis: not description.revolute[coordinate]
-            for axis, coordinate in description.axes.items()
-        },
+        {axis: not description.turns(axis) for axis in description.axes},
         {place: encoder.counts_per_unit for place, encoder in description.encoders.items()},
         {place: encoder.counting for place, encoder in description.encoders.items()},
     )

@@ -165,20 +165,27 @@ def _axes_that_read(twin: Twin, counts: NDArray[np.float64]) -> dict[str, float]
 
     In the middle of the count: counts are rounded down.
     """
+    read = twin.servo_parameters[0]['Ixx03']
     parameters = twin.plant_parameters.copy()
     parameters['delay_fraction'] = 0.0  # it stands
-    parameters['counts_per_unit'][:, len(AXES) :] = 0.0  # those of motors go with the others
+    others = [place for place in range(len(ENCODERS)) if place not in read]
+    parameters['counts_per_unit'][:, others] = (
+        0.0  # go with those by which the axes are positioned
+    )
     by_coordinate = np.zeros((1, len(twin.machine.coordinates)))
-    of_encoders = np.concatenate([counts + 0.5, np.zeros(len(ENCODERS) - len(AXES))])
+    of_encoders = np.zeros(len(ENCODERS))
+    of_encoders[read] = counts + 0.5
     find_positions(twin.plant_state.copy(), parameters, of_encoders[None, :], by_coordinate)
-    p, per_unit = parameters[0], twin.servo_parameters[0]['counts_per_unit']
+    p = parameters[0]
     return {
         axis: float(
             by_coordinate[0, p['encoder_coordinate'][place]]
             * p['counts_per_unit'][place]
-            / per_unit[place]
+            / per_unit
         )
-        for place, axis in enumerate(AXES)
+        for axis, place, per_unit in zip(
+            AXES, read, twin.servo_parameters[0]['counts_per_unit'], strict=True
+        )
         if axis in twin.machine.description.axes and p['counts_per_unit'][place] != 0.0
     }
 

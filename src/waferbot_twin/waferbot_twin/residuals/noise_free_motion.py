@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
-from waferbot_twin.effects.places import motor_axes, motor_ratio
+from waferbot_twin.effects.places import axis_counts, motor_axes, motor_ratio, position_encoder
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array, Record
 
@@ -75,7 +74,7 @@ def change(signal: Array, rate_hz: float) -> Array:
 def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
     """Return what an axis does in a log without noise (`Problem.ideal`)."""
     timing = ideal.timing
-    place, name = AXES.index(axis), POSITION_ENCODER[axis]
+    place, name = AXES.index(axis), position_encoder(nominal, axis)
     rate_hz = timing.encoder_hz
     counts = _without_gaps(ideal.reading[:, ENCODERS.index(name)])
     position = _smooth(counts - counts[0], rate_hz)
@@ -83,7 +82,7 @@ def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
     gain = 0.0
     if axis in motor_axes(nominal):
         gain = nominal.description.motors[axis].electrical_gain * motor_ratio(nominal, axis)
-        gain /= nominal.description.encoders[name].counts_per_unit
+        gain /= axis_counts(nominal, axis)
     angle = gain * (counts[0] + position)
     currents = ideal.line_current[:: timing.encoder_divider, 2 * place : 2 * place + 2]
     currents = currents[: len(position)]  # the last tick may be without a reading

@@ -33,8 +33,9 @@ PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
 
 @dataclass(frozen=True)
 class JointScales:
-    """Of each axis (3,): counts per m or rad of its position encoder, effort per ampere."""
+    """Of each axis (3,): place and counts per m or rad of its position encoder, effort per ampere."""
 
+    encoders: NDArray[np.intp]
     counts_per_unit: Floats
     effort_per_ampere: Floats
 
@@ -43,20 +44,22 @@ class JointScales:
         """Return those of a machine; raises `UserError` for an axis that lacks encoder or motor."""
         dynamics = InverseDynamics(description)
         placing = dynamics.machine.assembly.placing
-        counts, efforts = [], []
-        for place, axis in enumerate(AXES):
-            if axis not in dynamics.axes or ENCODERS[place] not in description.encoders:
+        places, counts, efforts = [], [], []
+        for axis in AXES:
+            name = description.position_encoder(axis)
+            if axis not in dynamics.axes or name not in description.encoders:
                 raise UserError(f'{description.name}: {axis} needs a motor and an encoder')
-            encoder = description.encoders[ENCODERS[place]]
+            encoder = description.encoders[name]
+            places.append(ENCODERS.index(name))
             ratio = placing[encoder.coordinate][1] / placing[description.axes[axis]][1]
             counts.append(encoder.counts_per_unit * ratio)
             constant = force_constant(description.motors[axis])
             efforts.append(constant * force_ratio(dynamics, axis))
-        return cls(np.array(counts), np.array(efforts))
+        return cls(np.array(places), np.array(counts), np.array(efforts))
 
     def positions(self, counts: NDArray[np.int64] | Floats) -> Floats:
         """Return the positions of the axes from the counts of all encoders (4,)."""
-        found: Floats = counts[: len(AXES)] / self.counts_per_unit
+        found: Floats = counts[self.encoders] / self.counts_per_unit
         return found
 
     def currents(self, efforts: Mapping[str, float]) -> list[float]:

@@ -18,18 +18,20 @@ from typing import Any
 import numpy as np
 import yaml
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_UNITS, usual_axis
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import (
     Experiment,
     commanded_positions,
     load_experiment,
     shipped_experiments,
+    suits,
 )
 from waferbot_pmac.experiments.evaluation import MILLISECONDS
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.models import SHIPPED, load_model
 
 START_S = 0.05
 """Designed motions begin then: the observers of the diagnosis have taken hold."""
@@ -122,17 +124,36 @@ def library(variant: Variant) -> list[Candidate]:
         experiment = load_experiment(name)
         if any(axis not in variant.description.axes for axis in experiment.motion):
             continue
+        if not suits(experiment, variant.description.axis_units):
+            continue
         found.append(Candidate(name, experiment))
     return found
 
 
 def strokes(variant: Variant, timing: Timing) -> dict[str, float]:
-    """Return the longest way that an experiment of the library takes each axis, m or rad."""
+    """
+    Return the longest way that an experiment of the library takes each axis, m or rad.
+
+    For an axis that slides where that of the shipped machine turns, or the other way round, the library
+    has no experiment of its own: the way is that of the shipped axis with the same unit.
+    """
+    units = variant.description.axis_units
+    own = _longest_ways(variant, timing)
+    foreign = [axis for axis in AXES if units[axis] != USUAL_UNITS[axis]]
+    if foreign:
+        shipped = _longest_ways(Variant.of(load_model(SHIPPED)), timing)
+        own |= {axis: shipped[usual_axis(axis, units[axis])] for axis in foreign}
+    return own
+
+
+def _longest_ways(variant: Variant, timing: Timing) -> dict[str, float]:
+    """Return the longest way that those experiments take each axis that suit the machine."""
     parameters = servo_parameters(variant.pmac, variant.name)
     per_unit = parameters[0]['counts_per_unit']
+    units = variant.description.axis_units
     longest = np.zeros(len(AXES))
     for one in library(variant):
-        path = commanded_positions(one.experiment, parameters, timing.servo_hz)
+        path = commanded_positions(one.experiment, parameters, timing.servo_hz, units)
         longest = np.maximum(longest, np.ptp(path, axis=0) / per_unit)
     return {axis: float(longest[place]) for place, axis in enumerate(AXES)}
 

@@ -103,7 +103,9 @@ class Machine:
         """Return the closed loop of a variant, ready for an experiment; raises `UserError`."""
         machine = built(variant, self.timing)
         twin = Twin(machine, variant.pmac, variant.copley, self.timing, variant.name)
-        commanded = commanded_positions(experiment, twin.servo_parameters, self.timing.servo_hz)
+        commanded = commanded_positions(
+            experiment, twin.servo_parameters, self.timing.servo_hz, variant.description.axis_units
+        )
         twin.command(commanded, variant.compensation, experiment.name)
         return twin
 

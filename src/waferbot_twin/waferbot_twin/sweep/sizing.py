@@ -36,10 +36,11 @@ from waferbot_plant.description import Heating, Motor
 from waferbot_plant.motors import force_constant
 from waferbot_plant.validity import Extremes
 from waferbot_pmac.experiments import Experiment
+from waferbot_twin.effects.places import motor_force_unit, motor_rotary
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Runaway, Signals, Twin
 from waferbot_twin.metrics import rms
-from waferbot_twin.response import UNITS, simulated_responses
+from waferbot_twin.response import simulated_responses
 from waferbot_twin.validity import Validity
 
 WINDINGS = 'windings, repeated for ever'
@@ -103,9 +104,9 @@ def _of_motors(variant: Variant, twin: Twin, signals: Signals) -> list[Row]:
         motor = variant.description.motors.get(axis)
         if motor is None:
             continue
-        constant, turns = force_constant(motor), UNITS[axis] == 'rad'
-        unit = 'Nm' if turns else 'N'
-        word = 'torque' if turns else 'force'
+        constant = force_constant(motor)
+        unit = motor_force_unit(variant, axis)
+        word = 'torque' if motor_rotary(variant, axis) else 'force'
         current = response.current
         peak = variant.amplifier_setting(axis, 'peak_current')
         continuous = variant.amplifier_setting(axis, 'continuous_current')

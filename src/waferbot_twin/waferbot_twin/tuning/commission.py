@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from waferbot_copley.current_loop import gains_from_motor
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, usual_axis
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import statics
@@ -31,22 +31,12 @@ from waferbot_plant.assembly import assemble
 from waferbot_plant.description import Description, Encoder
 from waferbot_plant.motors import check_windings
 from waferbot_plant.plant import Machine
-from waferbot_plant.signals import UNITS
 from waferbot_pmac.i_variables import axis_parameters, servo_parameters
 from waferbot_twin.effects.variant import Overlay, Variant, with_rigid
-from waferbot_twin.models import load_model
+from waferbot_twin.models import SHIPPED, load_model
 from waferbot_twin.tuning.gains import AxisScale, Tuning, loop_gains
 
 DAMPING_RATIO = 0.7
-
-ENCODERS_OF = {
-    'y_linear': ('y_linear',),
-    'x_rotate': ('x_rotate',),
-    'y_rotate': ('y_rotate_load', 'y_rotate_motor'),
-}
-"""Places of the contract from which the position of an axis may come, the best one first."""
-
-SHIPPED = 'rigid'
 
 FATAL_ERROR = {'m': 2e-3, 'rad': 2e-2}
 
@@ -156,30 +146,31 @@ def _amplifier(axis: _Axis, variant: Variant) -> dict[str, Any]:
 
 def _feedback(axis: _Axis, description: Description, name: str) -> dict[str, Any]:
     """Return the I-variables of an axis that follow from its encoder."""
-    place = next((one for one in ENCODERS_OF[name] if one in description.encoders), None)
-    if place is None:
-        raise UserError(
-            f'axis {name} has no encoder; it is to be {" or ".join(ENCODERS_OF[name])}'
-        )
+    place = description.position_encoder(name)
+    if place not in description.encoders:
+        wanted = ' or '.join(one for one in ENCODERS if AXIS_OF[one] == name)
+        raise UserError(f'axis {name} has no encoder; it is to be {wanted}')
     encoder = description.encoders[place]
     counts = encoder.counts_per_unit * axis.ratio(encoder.coordinate)
     if counts <= 0.0:
         raise UserError(f'axis {name}: encoder {place} counts against it')
     shipped = servo_parameters(load_model(SHIPPED).of_axes('pmac'), SHIPPED)[0]
     index = ENCODERS.index(place)
-    fatal = round(16.0 * counts * FATAL_ERROR[UNITS[name]])
+    unit = description.axis_units[name]
+    alike = AXES.index(usual_axis(name, unit))  # of the shipped machine
+    fatal = round(16.0 * counts * FATAL_ERROR[unit])
     found: dict[str, Any] = {
         'Ixx03': index,
         'Ixx04': index,
-        'Ixx09': int(shipped['Ixx08'][AXES.index(name)]),  # one encoder for both loops
+        'Ixx09': int(shipped['Ixx08'][alike]),  # one encoder for both loops
         'counts_per_unit': counts,
         'Ixx11': fatal,
         'Ixx12': fatal // 2,
     }
-    finer = counts / float(shipped['counts_per_unit'][AXES.index(name)])
+    finer = counts / float(shipped['counts_per_unit'][alike])
     for one in axis_parameters(name):
         if one.name in PER_COUNT:
-            value = float(shipped[one.name][AXES.index(name)]) * finer
+            value = float(shipped[one.name][alike]) * finer
             value = min(max(value, one.low), one.high)
             found[one.name] = max(1, round(value)) if one.integer else value
     return found

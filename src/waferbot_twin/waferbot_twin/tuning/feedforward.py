@@ -24,6 +24,7 @@ from waferbot_plant.inverse_dynamics import InverseDynamics
 from waferbot_pmac.compensation import TIME, Table, over_position, over_speed, table_text
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.effects.places import length_unit
 from waferbot_twin.effects.variant import Overlay, Variant
 
 Floats = NDArray[np.float64]
@@ -43,7 +44,9 @@ STANDING = 1e-6
 def commanded_motion(variant: Variant, experiment: Experiment, timing: Timing) -> Floats:
     """Return the commanded positions (cycles, 3) of an experiment, m or rad."""
     parameters = servo_parameters(variant.pmac, variant.name)
-    counts = commanded_positions(experiment, parameters, timing.servo_hz)
+    counts = commanded_positions(
+        experiment, parameters, timing.servo_hz, variant.description.axis_units
+    )
     return np.asarray(counts / parameters['counts_per_unit'][0])
 
 
@@ -96,12 +99,15 @@ def machine_tables(
         position[:, column] = at
         needed = dynamics.currents(position, still, still)[:, column]
         _check_within(variant, axis, needed, 'the machine')
-        found.append(_thinned(axis, over_position(axis), at, needed - _given(variant, axis)))
-        found.append(_speed_table(dynamics, axis, column, speed[axis]))
+        unit = length_unit(variant, axis)
+        found.append(_thinned(axis, over_position(unit), at, needed - _given(variant, axis)))
+        found.append(_speed_table(dynamics, axis, unit, column, speed[axis]))
     return tuple(found)
 
 
-def _speed_table(dynamics: InverseDynamics, axis: str, column: int, highest: float) -> Table:
+def _speed_table(
+    dynamics: InverseDynamics, axis: str, unit: str, column: int, highest: float
+) -> Table:
     """Return what friction and damping take, over the speed; zero at rest, with a jump beside it."""
     side = np.concatenate([[STANDING], np.linspace(0.0, highest, 101)[1:]])
     at = np.concatenate([-side[::-1], side])
@@ -115,7 +121,7 @@ def _speed_table(dynamics: InverseDynamics, axis: str, column: int, highest: flo
     forward = _thinned(axis, '', at[half:], needed[half:])
     return Table(
         axis,
-        over_speed(axis),
+        over_speed(unit),
         np.concatenate([backward.at, [0.0], forward.at]),
         np.concatenate([backward.current, [0.0], forward.current]),
     )

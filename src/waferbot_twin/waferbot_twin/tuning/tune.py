@@ -10,6 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
+from waferbot_lockstep.contract import AXES, USUAL_UNITS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import assemble
@@ -90,7 +91,8 @@ def poses_of(variant: Variant, given: Mapping[str, Sequence[float]]) -> list[dic
     for axis in given:
         if axis not in axes:
             raise UserError(f'{variant.name} has no axis {axis!r}; it has {", ".join(axes)}')
-    grid = given or (DEFAULT_POSES if set(DEFAULT_POSES) < set(axes) and len(axes) == 3 else {})
+    as_shipped = set(axes) == set(AXES) and variant.description.axis_units == USUAL_UNITS
+    grid = given or (DEFAULT_POSES if as_shipped else {})
     return [dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())]
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_twin.effects.places import axis_counts, length_unit, position_encoder
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.metrics import performance_improvement, rms
 from waferbot_twin.residuals.closed_loop_record import simulate
@@ -93,24 +94,24 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
     closed_loop = record.closes_loop
     errors = (_closed_loop_errors if closed_loop else _plant_errors)(nominal, extended, record)
     found = []
-    for place, axis in enumerate(AXES):
-        encoder = nominal.description.encoders.get(ENCODERS[place])
-        if encoder is None or axis not in nominal.description.motors or place not in errors:
+    for axis in AXES:
+        per_unit = axis_counts(nominal, axis)
+        place = ENCODERS.index(position_encoder(nominal, axis))
+        if axis not in nominal.description.motors or place not in errors:
             continue
         time_s, measured, before, after = errors[place]
         known = np.isfinite(measured) & (time_s >= record.judged_from_s)
-        unit = 'rad' if nominal.description.revolute[encoder.coordinate] else 'm'
         found.append(
             AxisGain(
                 record.name,
                 axis,
-                unit,
+                length_unit(nominal, axis),
                 time_s[known],
-                measured[known] / encoder.counts_per_unit,
-                before[known] / encoder.counts_per_unit,
-                after[known] / encoder.counts_per_unit,
+                measured[known] / per_unit,
+                before[known] / per_unit,
+                after[known] / per_unit,
                 closed_loop,
-                record.resolution[place] / encoder.counts_per_unit,
+                record.resolution[place] / per_unit,
             )
         )
     return found

@@ -92,6 +92,7 @@ class ViewContent:
         self.plots = [plot for response in responses for plot in _plots(response)]
         self._load_ends, self._loads = loads_of(machine, told, recording.timing)
         self._responses = responses
+        self._motor_turns = {axis: description.motor_turns(axis) for axis in description.motors}
         self._force_constants = {
             axis: force_constant(motor) for axis, motor in description.motors.items()
         }
@@ -135,7 +136,7 @@ class ViewContent:
 
     def _axis(self, response: AxisResponse, time_s: Vector) -> dict[str, Any]:
         """Return an axis at the times of the pictures: position in m or rad, motor force in N or Nm."""
-        linear = response.unit == 'm'
+        turns = self._motor_turns[response.axis]
         constant = self._force_constants[response.axis]
         force = constant * _means(response.tick_time, response.current, time_s)
         return {
@@ -145,8 +146,8 @@ class ViewContent:
             'moves': response.moves(),
             'position': np.interp(time_s, response.encoder_time, response.position).tolist(),
             'force': force.tolist(),
-            'force_name': 'motor force' if linear else 'motor torque',
-            'force_unit': 'N' if linear else 'Nm',
+            'force_name': 'motor torque' if turns else 'motor force',
+            'force_unit': 'Nm' if turns else 'N',
         }
 
 

@@ -21,7 +21,6 @@ from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.residuals.record import Record
 
@@ -42,21 +41,22 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
     speeds: dict[str, tuple[float, ...]] = {}
     positions: dict[str, tuple[float, ...]] = {}
     for axis in places.motor_axes(variant):
-        encoder = variant.description.encoders.get(POSITION_ENCODER[axis])
-        if encoder is None:
+        encoder = places.position_encoder(variant, axis)
+        if encoder not in variant.description.encoders:
             continue
-        column = ENCODERS.index(POSITION_ENCODER[axis])
+        column = ENCODERS.index(encoder)
+        per_unit = places.axis_counts(variant, axis)
         readings = [record.reading[:, column] for record in records]
         known = np.concatenate([reading[np.isfinite(reading)] for reading in readings])
         if len(known) == 0 or np.ptp(known) < STANDS_COUNTS:
             continue
-        positions[axis] = _points(known / encoder.counts_per_unit)
+        positions[axis] = _points(known / per_unit)
         rates = [
             np.gradient(_smooth(record.reading[:, column], record.timing.encoder_hz))
             * record.timing.encoder_hz
             for record in records
         ]
-        fastest = max(float(np.nanmax(np.abs(rate))) for rate in rates) / encoder.counts_per_unit
+        fastest = max(float(np.nanmax(np.abs(rate))) for rate in rates) / abs(per_unit)
         speeds[axis] = tuple(float(x) for x in fastest * np.linspace(-1.0, 1.0, POINTS))
     return [_table('velocity', speeds), _table('position', positions)]
 

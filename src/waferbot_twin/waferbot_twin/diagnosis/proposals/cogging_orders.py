@@ -33,7 +33,6 @@ from scipy.signal import bilinear, lfilter
 from waferbot_twin.effects import places
 from waferbot_twin.effects.cogging import period
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.noise_model.prediction_error import autoregression
 from waferbot_twin.residuals.plant_block import OBSERVER_DAMPING, PlantBlock
 from waferbot_twin.residuals.record import Array
@@ -50,7 +49,7 @@ def orders_of(variant: Variant, blocks: Sequence[PlantBlock]) -> dict[str, tuple
     residuals = [dict(zip(b.channels, b.residuals(variant), strict=True)) for b in blocks]
     found = {}
     for axis in places.motor_axes(variant):
-        encoder = POSITION_ENCODER[axis]
+        encoder = places.position_encoder(variant, axis)
         parts = [
             _Part(variant, axis, block, own[encoder])
             for block, own in zip(blocks, residuals, strict=True)
@@ -66,13 +65,13 @@ class _Part:
     """One channel of one log: its residual, where the motor was, and what else may be in it."""
 
     def __init__(self, variant: Variant, axis: str, block: PlantBlock, residual: Array) -> None:
-        encoder = POSITION_ENCODER[axis]
-        part = variant.description.encoders[encoder]
+        encoder = places.position_encoder(variant, axis)
+        per_unit = places.axis_counts(variant, axis)
         time_s = block.times_s(encoder)
         ratio = places.motor_ratio(variant, axis)
         self.residual = residual
         self.order = block.order
-        self.turns = ratio * block.measured(encoder) / part.counts_per_unit / period(variant, axis)
+        self.turns = ratio * block.measured(encoder) / per_unit / period(variant, axis)
         self._taps = _force_to_innovation(block.observer_hz, time_s)
         speed = np.gradient(block.measured(encoder), time_s)
         smooth = np.convolve(speed, np.ones(9) / 9.0, mode='same')

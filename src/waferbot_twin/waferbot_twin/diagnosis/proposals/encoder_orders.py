@@ -33,10 +33,10 @@ from scipy.signal import bilinear, lfilter
 from scipy.stats import gamma
 
 from waferbot_twin.diagnosis.proposals.periodogram import tuned_to
+from waferbot_twin.effects import places
 from waferbot_twin.estimation.gauss_newton import moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, signature
 from waferbot_twin.estimation.stacked_least_squares import by_channel
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.residuals.plant_block import OBSERVER_DAMPING, PlantBlock
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -86,9 +86,8 @@ def at_periods(problem: Problem, base: Hypothesis, rivals: Sequence[Cause]) -> l
     having = {cause.name: cause for cause in rivals if cause.effect.cycle}
     found = []
     for cause in having.values():
-        standing_out = _in_its_unit(
-            problem, cause, periods(problem, base, POSITION_ENCODER[cause.axis])
-        )
+        encoder = places.position_encoder(problem.nominal, cause.axis)
+        standing_out = _in_its_unit(problem, cause, periods(problem, base, encoder))
         for tuned in tuned_to(problem, cause, cause.effect.cycle, standing_out):
             found += [tuned, _sized(problem, base, tuned)]
     return found
@@ -100,7 +99,7 @@ def _in_its_unit(problem: Problem, cause: Cause, counts: Sequence[float]) -> lis
     units = {item.name: item.unit for item in cause.effect.parameters(nominal, cause.axis)}
     if units[cause.effect.cycle] == 'counts':
         return list(counts)
-    encoder = nominal.description.encoders[POSITION_ENCODER[cause.axis]]
+    encoder = nominal.description.encoders[places.position_encoder(nominal, cause.axis)]
     return [one / abs(encoder.counts_per_unit) for one in counts]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
+from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_twin.residuals.problem import Cause, Problem
 
 STANDS = 8.0
@@ -21,7 +21,7 @@ def can_repeat(problem: Problem, cause: Cause) -> bool:
     """Return whether a cause does not repeat along the way, or its axis goes any way at all."""
     if not cause.effect.repeats_after(problem.nominal, cause.axis, cause.values):
         return True
-    encoders = {MOTOR_ENCODER[cause.axis], POSITION_ENCODER[cause.axis]}
+    encoders = {name for name in ENCODERS if AXIS_OF[name] == cause.axis}
     return any(
         float(np.ptp(plant.measured(name))) > STANDS
         for plant in problem.plants
