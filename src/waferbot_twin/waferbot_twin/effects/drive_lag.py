@@ -5,7 +5,8 @@ The force follows what the drive is told with a first-order lag: the bandwidth o
     T dF/dt = F_told - F,        bandwidth 1 / (2 pi T)
 
 Of drives whose current was not measured. A delay shifts the force in time, a lag rounds it as well: they
-differ in what is as fast as 1 / T, at reversals and in oscillations.
+differ in what is as fast as 1 / T, at reversals and in oscillations. Next to none of it is a delay to
+first order, and logs have a time of the drive: so it is tried at sizes at which it is more.
 
 Source: W. Leonhard, Control of Electrical Drives, 3rd ed., Springer 2001, section 7.1: a closed current
 loop as one time constant.
@@ -43,4 +44,5 @@ EFFECT = Effect(
     equation='lag dF/dt = F_told - F',
     title='lag of the drive',
     usual=True,
+    tried_at=(1.0, 3.0),
 )
