@@ -192,10 +192,9 @@ def diagnose(
     posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
     posterior = as_sure_as_constant(pool, posterior)
     possible: list[FoundCause] = []
-    while unnamed := _without_a_name(problem, posterior, settings):
-        possible += unnamed
-        posterior = posterior.without(problem, [item.cause for item in unnamed], workers)
-        posterior = as_evident(pool, posterior)
+    while unnamed := _without_a_name(posterior, settings):
+        possible += _found_causes(problem, posterior, settings, unnamed)
+        posterior = as_evident(pool, posterior.without(problem, unnamed, workers))
     extension = extension_that_wins(
         nominal,
         _in_the_model(fitted_to(to_estimate, posterior.found.causes, workers)),
@@ -213,7 +212,7 @@ def diagnose(
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
     left = unexplained(problem, posterior, settings)
-    causes = _found_causes(problem, posterior, settings)
+    causes = _found_causes(problem, posterior, settings, posterior.found.causes)
     extended = apply_all(nominal, _in_the_model(posterior.found))
     notes += [
         *told,
@@ -280,15 +279,18 @@ def _in_the_model(found: Hypothesis) -> tuple[Cause, ...]:
     return tuple(cause for cause in found.causes if not is_discrepancy(cause))
 
 
-def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) -> list[FoundCause]:
-    """Return the causes of a posterior that have a physical name, what explains most first."""
+def _found_causes(
+    problem: Problem, posterior: Posterior, settings: Settings, some: Sequence[Cause]
+) -> list[FoundCause]:
+    """Return those of some causes that have a physical name, what explains most first."""
     found = posterior.found
     errors = standard_errors(found)
+    wanted = {cause.name for cause in some if _is_physical(cause)}
     result, first = [], 0
     for place, (cause, effect) in enumerate(zip(found.causes, posterior.effects, strict=True)):
         own = errors[first : first + cause.free]
         first += cause.free
-        if not _is_physical(cause):
+        if cause.name not in wanted:
             continue
         result.append(
             FoundCause(
@@ -305,14 +307,12 @@ def _found_causes(problem: Problem, posterior: Posterior, settings: Settings) ->
     return sorted(result, key=lambda item: -item.share)
 
 
-def _without_a_name(
-    problem: Problem, posterior: Posterior, settings: Settings
-) -> list[FoundCause]:
-    """Return the causes that are not sure enough for a name, what explains most first."""
+def _without_a_name(posterior: Posterior, settings: Settings) -> list[Cause]:
+    """Return the causes that are not sure enough for a name."""
     return [
-        item
-        for item in _found_causes(problem, posterior, settings)
-        if item.inclusion < settings.named_from
+        cause
+        for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True)
+        if _is_physical(cause) and effect.inclusion < settings.named_from
     ]
 
 

@@ -27,6 +27,7 @@ import numpy as np
 from scipy.special import expit
 
 from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import to_the_end
 from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
@@ -132,7 +133,7 @@ class Posterior:
         names = {cause.name for cause in causes}
         kept = [place for place, cause in enumerate(self.found.causes) if cause.name not in names]
         others = tuple(self.found.causes[place] for place in kept)
-        found = to_the_end(problem, evaluate(problem, others), workers)
+        found = to_the_end(problem, evaluate(problem, each_once(problem, others)), workers)
         return replace(self, found=found, effects=tuple(self.effects[place] for place in kept))
 
 
