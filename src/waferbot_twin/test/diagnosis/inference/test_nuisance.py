@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_twin.diagnosis.inference import single_effects
 from waferbot_twin.diagnosis.inference.nuisance import LOGS, each_once, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Member, Posterior, SingleEffect
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -118,3 +120,22 @@ def test_what_has_a_cause_does_not_deviate_besides(nominal):
     assert dense.values == {**off.values, held: 0.0}
     (free,) = each_once(problem, (dense,))
     assert free.held == ()
+
+
+def test_what_a_cause_had_changed_deviates_again_when_it_is_gone(nominal, monkeypatch):
+    monkeypatch.setattr(single_effects, 'to_the_end', lambda problem, found, workers: found)
+    monkeypatch.setattr(
+        single_effects, 'evaluate', lambda problem, causes: SimpleNamespace(causes=causes)
+    )
+    constant = Cause(find('force_constant'), 'x_rotate', {'ratio': 0.8})
+    problem = SimpleNamespace(nominal=nominal)
+    both = each_once(problem, (constant, dense(nominal, [])))
+    effects = tuple(
+        SingleEffect((Member(SimpleNamespace(causes=(cause,)), 9.0, 0.0, 1.0),), 0.0)
+        for cause in both
+    )
+    posterior = Posterior(None, SimpleNamespace(causes=both), effects, 2)
+    assert both[1].held
+    left = posterior.without(problem, [constant])
+    assert left.effects == effects[1:]
+    assert [cause.held for cause in left.found.causes] == [()]
