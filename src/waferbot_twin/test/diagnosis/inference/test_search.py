@@ -9,6 +9,7 @@ import pytest
 
 from waferbot_twin.diagnosis.inference import search
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 
 
 def hypothesis(*names):
@@ -105,3 +106,36 @@ def test_several_causes_may_do_what_a_force_without_a_name_does(
     chosen, _, more = search._by_names(pool, hypothesis(), first, 3)
     assert [one.best.cause.name for one in chosen] == taken
     assert more == asked
+
+
+def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
+    """The second becomes another one: the first is asked for again, the third was asked beside it."""
+    told = []
+
+    def effect_of(found):
+        return SingleEffect((Member(found, 9.0, 0.0, 1.0),), 1e-3)
+
+    def posterior(pool, base, rivals, present):
+        name = present.causes[-1].name
+        told.append(name)
+        return effect_of(hypothesis('another') if name == 'second' else present)
+
+    def with_last(problem, found, name):
+        names = sorted((cause.name for cause in found.causes), key=lambda one: one == name)
+        return hypothesis(*names)
+
+    def fitted_on(pool, found, causes):
+        return hypothesis('first', 'third', 'another')
+
+    monkeypatch.setattr(search, 'with_last', with_last)
+    monkeypatch.setattr(search, 'without_by_linear', lambda problem, present, name: None)
+    monkeypatch.setattr(search, '_posterior', posterior)
+    monkeypatch.setattr(search, '_fitted_on', fitted_on)
+    monkeypatch.setattr(search, 'evident', lambda pool, found, effects: (found, list(effects)))
+    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'])
+    names = ('first', 'second', 'third')
+    effects = [effect_of(hypothesis(name)) for name in names]
+    _, left, asked = search._ask_again(pool, hypothesis(*names), effects, 24)
+    assert told == ['first', 'second', 'third', 'first']
+    assert {one.best.cause.name for one in left} == {'first', 'another', 'third'}
+    assert asked == 4

@@ -401,17 +401,22 @@ def _ask_again(
     """
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
-    Which one it is, that is: what no other candidate can do in its place stays as it is. Whether there
-    is any is left to elimination, before or, if anything is another one, in the end; so the model
-    without an effect may be the one that the linear problem has. Return how often was asked, too.
+    Beside the same others each is asked for once. Which one it is, that is: what no other candidate can
+    do in its place stays as it is. Whether there is any is left to elimination, before or, if anything
+    is another one, in the end; so the model without an effect may be the one that the linear problem
+    has. Return how often was asked, too.
     """
     left, moved = most, False
+    asked = set[str]()
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
             if left <= 0:
                 break
             name = effect.best.cause.name
+            if name in asked:
+                continue
+            asked.add(name)
             present = with_last(pool.problem, found, name)
             rivals = pool.in_place_of(present)
             if not rivals:
@@ -427,7 +432,8 @@ def _ask_again(
             place = next(number for number, one in enumerate(effects) if one is effect)
             rest = [*effects[:place], *effects[place + 1 :]]
             again = with_odds(again, log_odds_at(effect.inclusion))
-            changed |= again.best.cause.name != name
+            if again.best.cause.name != name:
+                changed, asked = True, {again.best.cause.name}
             if again.best.found is not present:
                 moved = True
                 found = _fitted_on(pool, again.best.found, again.best.found.causes)
