@@ -188,6 +188,7 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         causes=[_row(nominal, found) for found in diagnosis.causes],
         possible=[_row(nominal, found) for found in diagnosis.possible],
         named_from=probability_text(diagnosis.settings.named_from),
+        included_from=probability_text(diagnosis.settings.included_from),
         credible=percent_text(diagnosis.settings.credible_level),
         readings=_readings(),
         corrections=[correction_row(item) for item in stated(diagnosis)],
