@@ -30,6 +30,17 @@ The unit of each axis' position where no machine is described, as on the shipped
 Where one is, it says so: `Description.axis_units` of `waferbot_plant`.
 """
 
+USUAL_TITLES: Mapping[str, str] = {
+    'y_linear': 'Y-Linear',
+    'x_rotate': 'X-Rotate',
+    'y_rotate': 'Y-Rotate',
+}
+"""
+What each axis is called in reports and plots where no machine is described, as on the shipped one.
+
+Where one is, it may say so: `Description.titles` of `waferbot_plant`.
+"""
+
 
 def usual_axis(axis: str, unit: str) -> str:
     """

@@ -10,6 +10,7 @@ import plant_machines as machines
 import pytest
 import yaml
 
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import config_folder, load_machine
@@ -174,6 +175,14 @@ def _drop(*keys):
         (_set('encoders', 'y_linear', 'counts_per_m', 0), ['counts_per_m', 'must not be zero']),
         (_set('axes', 'y_linear', 'frist'), ['axes.y_linear', "'first'"]),
         (
+            _set('titles', {'y_linear': 'Lift', 'x_rotate': 'Arm'}),
+            ['titles.x_rotate', "no axis 'x_rotate'"],
+        ),
+        (_set('titles', {'lift': 'Lift'}), ['titles.lift', 'names here are y_linear']),
+        (_set('titles', {'y_linear': ''}), ['titles.y_linear', 'must not be empty']),
+        (_set('titles', {'y_linear': ' '}), ['titles.y_linear', 'must not be empty']),
+        (_set('titles', {'y_linear': 3}), ['titles.y_linear', 'of type string']),
+        (
             _set('frictions', {'f': {'coordinate': 'first', 'speed_m_s': [0, 1], 'force_n': [1]}}),
             ['frictions.f', '2 speeds but 1'],
         ),
@@ -256,6 +265,16 @@ def test_switches_and_damping() -> None:
         for damping in ('calculated', 'improved')
     ]
     assert [loss.loss_factor for loss in losses] == [0.008, 0.02]
+
+
+def test_titles_are_the_machines_and_the_usual_ones_where_it_says_nothing() -> None:
+    assert load_machine('rigid').description.titles == USUAL_TITLES
+    gantry = load_machine('gantry').description
+    assert gantry.titles == {'y_linear': 'Ram', 'x_rotate': 'Bridge', 'y_rotate': 'Carriage'}
+    stage = load_machine('ball_screw_stage').description
+    assert stage.titles == {**USUAL_TITLES, 'y_linear': 'Table'}
+    data = machines.two_slides(titles={'y_linear': 'the\n  lift\n'})
+    assert load_description(machines.write(data)).titles['y_linear'] == 'the lift'
 
 
 def test_unknown_machine_is_answered_with_the_known_ones() -> None:

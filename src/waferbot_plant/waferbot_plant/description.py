@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_UNITS
+from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_TITLES, USUAL_UNITS
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 
 Vector = NDArray[np.float64]
@@ -393,7 +393,12 @@ class Controller:
 
 @dataclass(frozen=True)
 class Description:
-    """A whole machine, checked. `revolute` tells for every coordinate whether it is an angle."""
+    """
+    A whole machine, checked.
+
+    `revolute` tells for every coordinate whether it is an angle, `titles` for every axis of the contract
+    what reports and plots call it: as the machine says, the usual title of one of which it says nothing.
+    """
 
     name: str
     gravity: Vector
@@ -418,6 +423,7 @@ class Description:
     provenance: Mapping[str, str]
     formulation: str = MULTIBODY
     payload: Payload | None = None
+    titles: Mapping[str, str] = field(default_factory=lambda: USUAL_TITLES)
 
     def turns(self, axis: str) -> bool:
         """

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
@@ -118,12 +119,22 @@ class Reader:
             parts=self.parts,
             revolute=self.revolute,
             provenance=provenance,
+            titles={**USUAL_TITLES, **{axis: self.title(axis) for axis in self.section('titles')}},
         )
 
     def axis(self, axis: str) -> str:
         """Return the coordinate of an axis of the contract."""
         coordinate = self.section('axes')[axis]
         return self.moving(('axes', axis), coordinate)
+
+    def title(self, axis: str) -> str:
+        """Return what an axis is called, in one line: it stands in lines of tables and in comments."""
+        key: Key = ('titles', axis)
+        self.reference(key, axis, self.section('axes'), 'axis')
+        title = ' '.join(self.data['titles'][axis].split())
+        if not title:
+            raise self.document.error(key, 'must not be empty')
+        return title
 
     def rotor(self, name: str) -> Rotor:
         """Read a rotor: one that is a coordinate, or one that goes with another coordinate."""
