@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -132,6 +133,19 @@ def test_a_recording_of_it_is_told_in_metres(tmp_path, capsys) -> None:
     assert (figures['unit'], figures['step']) == ('m', pytest.approx(1e-3))
     picture = tmp_path / 'run.svg'
     assert main(['plot', str(run), '--out', str(picture)]) == 0
+
+
+def test_a_plot_calls_the_axes_what_the_machine_calls_them(tmp_path) -> None:
+    file, run, picture = tmp_path / 'slide.yaml', tmp_path / 'run', tmp_path / 'run.svg'
+    slide = mass_on('y_linear').with_overlay(Overlay({'titles': {'y_linear': 'Slide'}}))
+    file.write_text(slide.text, 'utf-8')
+    plan = make_plan(str(file), step_of('y_linear'))
+    inprocess.run(plan, run, False, lambda done, total: None)
+    assert main(['plot', str(run), '--out', str(picture)]) == 0
+    # text is drawn as outlines, with what it says in a comment
+    said = re.findall('<!-- (.*) -->', picture.read_text('utf-8'))
+    assert {'Slide', 'X-Rotate', 'Y-Rotate'} <= set(said)
+    assert 'Y-Linear' not in said
 
 
 def test_an_fmu_has_the_units_of_its_machine() -> None:

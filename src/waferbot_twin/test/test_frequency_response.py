@@ -303,7 +303,7 @@ def test_the_sentence_claims_no_more_than_was_judged():
     def said(one, other):
         channels = (Channel('x_rotate', 'force'), Channel('x_rotate', 'acceleration'))
         pairs = tuple(match(one, other))
-        return sentence(Comparison((), channels, '', 'mine', one, other, None, pairs, ()))
+        return sentence(Comparison((), channels, '', 'mine', one, other, None, pairs, (), {}))
 
     assert said(measured, rigid) == 'Model mine lacks the resonance at 75 Hz.'
     assert (

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import pytest
 
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_twin.titles import with_titles
 
 
@@ -20,4 +21,10 @@ from waferbot_twin.titles import with_titles
     ],
 )
 def test_axes_are_said_by_their_titles_and_names_of_logs_stay(text, said):
-    assert with_titles(text) == (said or text.replace('y_linear', 'Y-Linear'))
+    assert with_titles(text, USUAL_TITLES) == (said or text.replace('y_linear', 'Y-Linear'))
+
+
+def test_a_title_that_names_another_axis_is_not_said_anew():
+    titles = {**USUAL_TITLES, 'y_linear': r'lift of x_rotate \1'}
+    said = with_titles('y_linear.force and x_rotate', titles)
+    assert said == r'lift of x_rotate \1 force and X-Rotate'

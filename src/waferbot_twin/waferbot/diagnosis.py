@@ -216,7 +216,7 @@ def diagnose(
         Model(details.extended),
         wording.sentence(details),
         details.verdict,
-        tuple(with_titles(note) for note in details.notes),
+        tuple(with_titles(note, details.nominal.titles) for note in details.notes),
         details,
         _reference(model, logs, validation, details),
     )

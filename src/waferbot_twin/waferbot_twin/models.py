@@ -27,12 +27,13 @@ import yaml
 
 from waferbot_copley.node_settings import COPLEY_PARAMETERS
 from waferbot_copley.settings import settings_of
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.node_settings import NODE_PARAMETERS
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import Parameter, did_you_mean
+from waferbot_plant.description import Description
 from waferbot_plant.description_file import load_description
 from waferbot_plant.node_settings import PLANT_PARAMETERS
 from waferbot_plant.plant import description_names, description_source
@@ -86,7 +87,16 @@ class Model:
     @property
     def axis_units(self) -> dict[str, str]:
         """Unit of each axis' position, `m` or `rad`, as the machine has it; raises `UserError`."""
-        return load_description(description_source(self.description)).axis_units
+        return self._machine.axis_units
+
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """What reports and plots call the axes, as the machine says; raises `UserError`."""
+        return self._machine.titles
+
+    @property
+    def _machine(self) -> Description:
+        return load_description(description_source(self.description))
 
     def with_settings(self, node: str, settings: Mapping[str, Any]) -> Model:
         """Return the model with other settings of one node laid over its own."""
@@ -178,6 +188,16 @@ def recorded_model(recording: Recording) -> Model:
         # The machine as it was then; a file of that name may have changed since.
         parameters['plant']['description'] = recording.attachments['machine.yaml']
     return Model(str(recording.run.get('model', 'recorded')), where, parameters)
+
+
+def recorded_titles(recording: Recording) -> Mapping[str, str]:
+    """
+    Return what the axes of a recording are called: as its machine says, as usual if it holds none.
+
+    An imported log is of a machine that it does not tell of.
+    """
+    known = 'model.yaml' in recording.attachments
+    return recorded_model(recording).titles if known else USUAL_TITLES
 
 
 def base_files() -> tuple[Path, ...]:

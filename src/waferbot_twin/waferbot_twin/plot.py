@@ -8,7 +8,7 @@ how much it is tilted, and how warm the windings are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,13 @@ from matplotlib.figure import Figure
 
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.html_page import save_drawing, set_title
+from waferbot_twin.models import recorded_titles
 from waferbot_twin.recording.reader import Progress, header_of
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
 from waferbot_twin.thinning import thinned
 from waferbot_twin.validity import OUTSIDE, recorded_validity
 
-TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 COMMAND_COLOUR, MEASURED_COLOUR, ERROR_COLOUR = '#999999', '#1f5fa8', '#b5401f'
 DIRECTION_COLOURS = ('#b5401f', '#3a9150', '#1f5fa8')
 MOST_DRAWN = 4000
@@ -59,7 +59,7 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
     told: list[np.ndarray] = []
     responses = load_responses(path, progress, told.append)
     header = header_of(path)
-    run = header.run
+    run, titles = header.run, recorded_titles(header)
     rows = 4 if told else 3
     figure, panels = plt.subplots(
         rows,
@@ -69,11 +69,12 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
         squeeze=False,
     )
     for column, response in enumerate(responses):
+        panels[0][column].set_title(titles[response.axis])
         _draw_position(panels[0][column], response)
         _draw_error(panels[1][column], response)
         _draw_current(panels[2][column], response)
     if told:
-        _draw_plant_state(panels[3], np.concatenate(told), header.timing.current_loop_hz)
+        _draw_plant_state(panels[3], np.concatenate(told), header.timing.current_loop_hz, titles)
     for panel in panels[-1]:
         panel.set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
@@ -100,7 +101,9 @@ def _amount(row: dict[str, Any]) -> str:
     return f'{row["what"]} {row["worst"]:.4g} {row["unit"]} at {row["worst_s"]:.3f} s ({row["limits"]})'
 
 
-def _draw_plant_state(panels: Sequence[Axes], told: np.ndarray, tick_hz: float) -> None:
+def _draw_plant_state(
+    panels: Sequence[Axes], told: np.ndarray, tick_hz: float, titles: Mapping[str, str]
+) -> None:
     """Draw error and tilt of the payload, and the temperatures of the windings."""
     time_s = told['tick'] / tick_hz
     for panel, name, unit, what in (
@@ -115,7 +118,7 @@ def _draw_plant_state(panels: Sequence[Axes], told: np.ndarray, tick_hz: float) 
         panel.set_ylabel(f'{what} [{scaled}]')
     for place, axis in enumerate(AXES):
         values = told['winding_temperature'][:, place]
-        _line(panels[2], time_s, values, DIRECTION_COLOURS[place], TITLES[axis], 1.0)
+        _line(panels[2], time_s, values, DIRECTION_COLOURS[place], titles[axis], 1.0)
     panels[2].set_ylabel('windings [degC]')
     for panel in panels:
         panel.legend(loc='upper right', fontsize=8)
@@ -133,7 +136,6 @@ def _draw_position(panel: Axes, response: AxisResponse) -> None:
     _line(
         panel, response.encoder_time, response.position * factor, MEASURED_COLOUR, 'encoder', 1.5
     )
-    panel.set_title(TITLES[response.axis])
     panel.set_ylabel(f'position [{unit}]')
     panel.legend(loc='lower right', fontsize=8)
     panel.grid(alpha=0.3)

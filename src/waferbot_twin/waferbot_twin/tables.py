@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_TITLES
 from waferbot_plant.modes import first_frequencies
 from waferbot_plant.plant import load_machine
 from waferbot_twin.metrics import FIGURES, percent_difference, performance_improvement
@@ -35,8 +35,6 @@ from waferbot_twin.thesis import (
     thesis,
     tolerance,
 )
-
-TITLES = {'y_linear': 'Y-Linear', 'x_rotate': 'X-Rotate', 'y_rotate': 'Y-Rotate'}
 
 KNIFE_EDGE = 0.01
 """Shift of the level, in steps, by which the sensitivity of a figure is shown."""
@@ -96,7 +94,7 @@ def difference_table(runs: Runs, model: str, axis: str) -> Table:
     steps = thesis()['steps'][axis]
     table = Table(
         steps['table'][model],
-        f'{TITLES[axis]} step: {model} connections, simulated and measured',
+        f'{USUAL_TITLES[axis]} step: {model} connections, simulated and measured',
     )
     for figure, name in FIGURES.items():
         simulated, simulated_met, simulated_note = compared(runs, model, axis, figure)
@@ -197,7 +195,7 @@ def improvement_table(runs: Runs, axis: str) -> Table:
     steps = thesis()['steps'][axis]
     table = Table(
         steps['table']['improvement'],
-        f'{TITLES[axis]} step: performance improvement from flexible connections',
+        f'{USUAL_TITLES[axis]} step: performance improvement from flexible connections',
     )
     figures = {model: runs.metrics(model, axis) for model in ('rigid', 'flexible', 'as_built')}
     for figure, name in FIGURES.items():
@@ -282,7 +280,7 @@ def run_time_table(runs: Runs) -> Table:
         for model, expected in thesis()['steps'][axis]['run_time'].items():
             table.rows.append(
                 Row(
-                    f'{TITLES[axis]}, {model}',
+                    f'{USUAL_TITLES[axis]}, {model}',
                     {'thesis': expected, 'ours': ratio[model]},
                     run_time_admits(model, ratio[model], ratio['flexible']),
                 )
@@ -301,7 +299,7 @@ def simplified_table(runs: Runs) -> Table:
         met = ours <= expected
         table.rows.append(
             Row(
-                f'{TITLES[axis]} (%)',
+                f'{USUAL_TITLES[axis]} (%)',
                 {
                     'thesis': expected,
                     'ours': ours,
@@ -330,7 +328,7 @@ def stability_table(runs: Runs) -> Table:
             met = ours == expected
             table.rows.append(
                 Row(
-                    f'{TITLES[axis]}, {damping}',
+                    f'{USUAL_TITLES[axis]}, {damping}',
                     {
                         'thesis': expected,
                         'ours': ours,

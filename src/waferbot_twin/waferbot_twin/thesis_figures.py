@@ -20,7 +20,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from waferbot_twin.plot import TITLES, scaled_unit
+from waferbot_lockstep.contract import USUAL_TITLES
+from waferbot_twin.plot import scaled_unit
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.statement_quantities import STEPS, Mark
 from waferbot_twin.statements import Finding
@@ -74,7 +75,7 @@ class Figure:
     @property
     def caption(self) -> str:
         """Number, axis and content."""
-        return f'Figure {self.number}. {TITLES[self.axis]}: {self.what}'
+        return f'Figure {self.number}. {USUAL_TITLES[self.axis]}: {self.what}'
 
 
 START_S = {'y_linear': 0.12, 'x_rotate': 0.12, 'y_rotate': 0.3}

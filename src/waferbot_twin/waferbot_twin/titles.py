@@ -4,18 +4,18 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
-from waferbot_twin.plot import TITLES
+from waferbot_lockstep.contract import AXES
+
+_AXIS = re.compile(rf'\b({"|".join(AXES)})\b(\.(?=[a-z]))?')
 
 
-def with_titles(text: str) -> str:
+def with_titles(text: str, titles: Mapping[str, str]) -> str:
     """
     Return a text with axes as they are said: "Y-Linear" for `y_linear`, "Y-Linear force" for
     `y_linear.force`.
 
     Names that only contain one (`step_y_linear`) stay as they are.
     """
-    for axis, said in TITLES.items():
-        text = re.sub(rf'\b{axis}\.(?=[a-z])', f'{said} ', text)
-        text = re.sub(rf'\b{axis}\b', said, text)
-    return text
+    return _AXIS.sub(lambda found: titles[found[1]] + (' ' if found[2] else ''), text)

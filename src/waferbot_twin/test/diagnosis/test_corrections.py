@@ -57,7 +57,7 @@ def test_an_interval_ends_at_what_is_possible(nominal):
 def test_a_value_on_its_bound_is_no_finding(nominal):
     _, _, item = told(nominal, 3.0 * SPREAD, 0.001)
     assert item.on_bound
-    assert 'on its bound: no finding' in correction_row(item)['interval']
+    assert 'on its bound: no finding' in correction_row(item, nominal.titles)['interval']
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_what_is_known_no_better_than_before_the_logs_is_not_told(nominal, share
     _, prior, _ = told(nominal, 0.0, 0.01)
     _, _, item = told(nominal, 0.0, share * prior)
     assert item.told == known
-    assert ('the logs do not tell it' in correction_row(item)['interval']) != known
+    assert ('the logs do not tell it' in correction_row(item, nominal.titles)['interval']) != known
 
 
 def test_an_axis_is_said_as_it_is_called(nominal):
     _, _, item = told(nominal, 0.01, 0.001)
-    assert correction_row(item)['parameter'] == 'mass of Y-Linear'
+    assert correction_row(item, nominal.titles)['parameter'] == 'mass of Y-Linear'

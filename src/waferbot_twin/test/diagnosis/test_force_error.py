@@ -90,7 +90,7 @@ def test_errors_of_both_models_stand_beside_those_of_least_squares(slide):
         assert known < 0.01
     own, other, *_ = reference_remarks(reference)
     assert 'the nominal model leaves' in own
-    assert other.startswith('Y-Linear in two (not used for the fit): ')
+    assert other.startswith('Carriage in two (not used for the fit): ')
 
 
 def test_of_several_motors_nothing_is_said(slide):

@@ -9,6 +9,8 @@ import pytest
 from waferbot_twin.diagnosis.reference import reference_of, reference_remarks, reference_rows
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.identification import least_squares_report
+from waferbot_twin.identification.least_squares import identify_by_least_squares
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model, load_model_or_machine
 from waferbot_twin.residuals.problem import Cause, apply_all
@@ -61,7 +63,18 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
     nominal, extended = (float(rows['inertia'][key].split()[0]) for key in ('nominal', 'extended'))
     assert nominal == pytest.approx(places.moving_inertia(pendulum, 'y_rotate'), rel=1e-3)
     assert extended == pytest.approx(nominal + 0.02, rel=1e-3)
-    assert all(row['axis'] == 'Y-Rotate' for row in rows.values())
+    assert all(row['axis'] == 'Pendulum' for row in rows.values())
+
+
+def test_the_report_calls_the_axis_as_the_machine_does(pendulum):
+    logs, judges = [log('one', 0.2)], [log('two', 1.0)]
+    for variant, title in ((pendulum, 'Pendulum'), (None, 'Y-Rotate')):
+        found = identify_by_least_squares(logs, judges, variant)
+        assert [row[0] for row in least_squares_report.table_rows(found)] == [title] * 4
+        said = least_squares_report.errors_in_words(found) + least_squares_report.remarks(found)
+        assert all(line.startswith(title) for line in said)
+        assert f'<h2>{title}: what is left over</h2>' in least_squares_report.page(found)
+        assert list(least_squares_report.as_dict(found)['axes']) == ['y_rotate']
 
 
 def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
@@ -73,8 +86,8 @@ def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
         assert one.of_models is not None
         assert one.of_models[0] == one.of_models[1] > one.relative
     own, other, *_ = reference_remarks(reference)
-    assert own.startswith('Y-Rotate in one: ')
-    assert other.startswith('Y-Rotate in two (not used for the fit): ')
+    assert own.startswith('Pendulum in one: ')
+    assert other.startswith('Pendulum in two (not used for the fit): ')
 
 
 def test_an_axis_about_the_vertical_and_a_slide_need_no_sine():

@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.print_diagnosis import print_diagnosis
-from waferbot_twin.diagnosis import forces, report
+from waferbot_twin.diagnosis import figures, forces, report
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
 from waferbot_twin.effects import find
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.envelope import MOST_SAMPLES, STRETCHES, envelope
 from waferbot_twin.estimation.hypothesis import evaluate
@@ -28,6 +29,7 @@ from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.validation.gain import gains
+from waferbot_twin.validation.gain_report import draw_gains
 
 EVIL = '<script>alert("l")</script>'
 FRICTION_NM = 1.5
@@ -191,6 +193,43 @@ def test_the_console_says_what_the_page_says(diagnosis, capsys):
     assert -1 not in places, dict(zip(order, places, strict=True))
     assert places == sorted(places)
     assert 'y_linear' not in text
+
+
+def test_axes_are_called_what_the_machine_calls_them(diagnosis, capsys, tmp_path):
+    titles = {'y_linear': 'Lift', 'x_rotate': 'Arm <b>', 'y_rotate': 'Wrist'}
+    own = Overlay({'titles': titles})
+    titled = replace(
+        diagnosis,
+        nominal=diagnosis.nominal.with_overlay(own),
+        extended=diagnosis.extended.with_overlay(own),
+        notes=['x_rotate.force is not known'],
+    )
+    report.write(titled, tmp_path)
+    page = Text()
+    page.feed((tmp_path / 'report.html').read_text('utf-8'))
+    assert 'b' not in page.tags
+    print_diagnosis(titled)
+    for text in (' '.join(page.text), capsys.readouterr().out):
+        assert 'Coulomb friction on Arm <b> (1.5 Nm,' in text
+        assert 'something on Lift stays unexplained' in text
+        assert 'Arm <b> force is not known' in text
+        assert not any(title in text for title in USUAL_TITLES.values())
+    drawn = [
+        panel.get_title(loc)
+        for figure in (
+            forces.draw_forces(titled),
+            figures.draw_residuals(titled),
+            draw_gains(titled.gains, titled.nominal.titles),
+        )
+        for panel in figure.axes
+        for loc in ('left', 'center')
+    ]
+    assert any(title.startswith('Arm <b>') for title in drawn)
+    assert not any(usual in title for title in drawn for usual in USUAL_TITLES.values())
+    content = json.loads((tmp_path / 'report.json').read_text('utf-8'))
+    assert content['causes'][0]['axis'] == 'x_rotate'
+    assert content['causes'][0]['title'] == 'Coulomb friction on Arm <b>'
+    assert load_model(str(tmp_path / 'extended.yaml')).titles == titles
 
 
 def test_on_a_narrow_console_nothing_is_cut(diagnosis, capsys, monkeypatch):

@@ -92,7 +92,7 @@ def test_windows_are_where_the_axis_moves(motor, random) -> None:
     assert note.startswith(
         f'log is longer than needed: of its {4 * ENOUGH_S:.1f} s those {ENOUGH_S:.1f} s'
     )
-    assert 'rad RMS there on X-Rotate, and ' in note
+    assert 'rad RMS there on Motor, and ' in note
 
 
 def test_two_logs_share_what_is_enough_and_both_are_used(motor, random) -> None:

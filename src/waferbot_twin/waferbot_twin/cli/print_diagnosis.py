@@ -20,7 +20,6 @@ from waferbot_twin.diagnosis.wording import (
     title,
 )
 from waferbot_twin.plain_values import with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.titles import with_titles
 
 
@@ -28,10 +27,11 @@ def print_diagnosis(
     diagnosis: Diagnosis, others: Mapping[str, float] | None = None, heading: str = ''
 ) -> None:
     """Print what the page says; beside the gains those of `others` by axis, in percent."""
+    titles = diagnosis.nominal.titles
     print(sentence(diagnosis))
     _print_causes(diagnosis, 'cause', diagnosis.causes)
     _print_causes(diagnosis, 'possible, not named', diagnosis.possible)
-    corrections = [correction_row(item) for item in stated(diagnosis) if item.told]
+    corrections = [correction_row(item, titles) for item in stated(diagnosis) if item.told]
     if corrections:
         _print_table(['small correction', 'nominal', 'found', '95 %'], corrections)
     left = [
@@ -45,7 +45,7 @@ def print_diagnosis(
     for line in gain_with_unnamed(diagnosis):
         print(line)
     for note in diagnosis.notes:
-        print(f'Note: {with_titles(note)}.')
+        print(f'Note: {with_titles(note, titles)}.')
 
 
 def _print_causes(diagnosis: Diagnosis, heading: str, causes: list[FoundCause]) -> None:
@@ -57,7 +57,7 @@ def _print_causes(diagnosis: Diagnosis, heading: str, causes: list[FoundCause]) 
     )
     for found in causes:
         first = (
-            capital(title(found.cause)),
+            capital(title(diagnosis.nominal, found.cause)),
             percent_text(found.share),
             f'{reading(found.probability)}, {probability_text(found.probability)}',
         )
@@ -71,7 +71,7 @@ def _print_causes(diagnosis: Diagnosis, heading: str, causes: list[FoundCause]) 
             for item in found.alternatives
         )
         if others:
-            print(f'{capital(title(found.cause))} may be instead: {others}.')
+            print(f'{capital(title(diagnosis.nominal, found.cause))} may be instead: {others}.')
 
 
 def _cells(row: ParameterText) -> tuple[str, str, str]:
@@ -93,7 +93,7 @@ def _print_gains(diagnosis: Diagnosis, others: Mapping[str, float] | None, headi
     for gain in diagnosis.gains:
         factor, unit = with_prefix(max(gain.rms_before, gain.rms_after), gain.unit)
         table.add_row(
-            f'{gain.log}, {TITLES[gain.axis]}',
+            f'{gain.log}, {diagnosis.nominal.titles[gain.axis]}',
             f'{factor * gain.rms_before:.4g} {unit}',
             f'{factor * gain.rms_after:.4g} {unit}',
             f'{gain.improvement_percent:.2f}',

@@ -205,8 +205,8 @@ def diagnose(
     )
     posterior = posterior.without(problem, extension.withdrawn, workers)
     withdrawn = [cause for cause in (*refuted, *extension.withdrawn) if _is_physical(cause)]
-    notes += [said.refuted(cause) for cause in refuted if _is_physical(cause)]
-    notes += [said.worse_with(cause) for cause in extension.withdrawn]
+    notes += [said.refuted(nominal, cause) for cause in refuted if _is_physical(cause)]
+    notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
@@ -216,7 +216,7 @@ def diagnose(
     extended = apply_all(nominal, _in_the_model(posterior.found))
     notes += [
         *told,
-        *(said.not_exact(block, axis) for block, axis in inexact(problem, posterior)),
+        *(said.not_exact(nominal, block, axis) for block, axis in inexact(problem, posterior)),
         *_stands_for(extended, [item.cause for item in causes]),
         *(_used(one, nominal, extended) for one in windows if one.spans_s),
     ]
@@ -332,7 +332,7 @@ def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:
     """Say of the causes of each axis what else does exactly the same in this model."""
     names = {cause.name for cause in causes}
     return [
-        said.stands_for(effect.name, axis, effect.same_as)
+        said.stands_for(variant, effect.name, axis, effect.same_as)
         for effect in library().values()
         for axis in effect.axes(variant)
         if effect.same_as

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import matplotlib
 
 matplotlib.use('Agg')
@@ -18,7 +20,6 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.envelope import draw_signal
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.plain_values import with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.problem import PLANT, UNITS, Channel
 from waferbot_twin.residuals.record import Array
@@ -74,14 +75,15 @@ def _draw_residual(
     factor, unit = with_prefix(largest, signals[0][1])
     for (values, _), (_, _, colour, label) in zip(signals, pairs, strict=True):
         draw_signal(panel, time_s, factor * values, colour, label)
-    panel.set_title(f'{BLOCKS[block]}: {channel_title(channel.name)}', fontsize=9, loc='left')
+    title = channel_title(channel.name, diagnosis.nominal.titles)
+    panel.set_title(f'{BLOCKS[block]}: {title}', fontsize=9, loc='left')
     panel.set_ylabel(f'[{unit}]')
     panel.grid(alpha=0.3)
 
 
-def channel_title(name: str) -> str:
+def channel_title(name: str, titles: Mapping[str, str]) -> str:
     """Return a channel as it is said: "X-Rotate", "Y-Rotate motor", "Y-Linear line 1"."""
-    for axis, said in TITLES.items():
+    for axis, said in titles.items():
         if name.startswith(axis):
             return f'{said}{name.removeprefix(axis).replace("_", " ")}'
     return name

@@ -49,7 +49,6 @@ from waferbot_twin.estimation.inverse_dynamics import (
 from waferbot_twin.estimation.residual_curves import BINS, BinnedMeans, binned_means
 from waferbot_twin.noise_model.variance_components import Shapes
 from waferbot_twin.plain_values import with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.problem import PLANT, Channel, Problem, apply_all
 from waferbot_twin.residuals.record import Array
@@ -91,7 +90,7 @@ def draw_forces(diagnosis: Diagnosis) -> Figure | None:
         for panel, title in zip(row, titles, strict=True):
             panel.set_xlabel(title)
             panel.set_ylabel(f'missing {what} [{unit}]')
-            panel.set_title(TITLES[axis], fontsize=9, loc='left')
+            panel.set_title(nominal.titles[axis], fontsize=9, loc='left')
             panel.axhline(0.0, color='#888888', lw=0.8)
             panel.grid(alpha=0.3)
         _show_the_means(row, factor, [forces for forces, _, _ in pairs if forces is not None])

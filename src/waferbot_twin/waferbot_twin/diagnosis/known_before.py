@@ -59,7 +59,11 @@ def with_known(
         if before is None or variance <= 0.0:
             continue
         if disagree(before, float(values[row]), variance):
-            what = by_path[path].words if is_nuisance(cause) else f'{item.name} of {title(cause)}'
+            what = (
+                by_path[path].words
+                if is_nuisance(cause)
+                else f'{item.name} of {title(problem.nominal, cause)}'
+            )
             apart = abs(before.value - values[row]) / np.sqrt(variance + before.error**2)
             notes.append(said.not_what_it_was(what, before.origin, float(apart)))
             continue

@@ -10,7 +10,6 @@ from waferbot_twin.diagnosis.wording import metres_per_count, title
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.plain_values import with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.residuals.record import Record
 
@@ -27,25 +26,26 @@ LOSES = (
 )
 
 
-def refuted(cause: Cause) -> str:
+def refuted(nominal: Variant, cause: Cause) -> str:
     """Say that the validation data refute a cause, as the estimation data predict them."""
     return (
-        f'{title(cause)} was withdrawn: by what the estimation data predict, '
+        f'{title(nominal, cause)} was withdrawn: by what the estimation data predict, '
         'the validation data refute it'
     )
 
 
-def worse_with(cause: Cause) -> str:
+def worse_with(nominal: Variant, cause: Cause) -> str:
     """Say that the extended model is better in closed loop without a cause."""
     better = 'in closed loop the extended model is nearer to the logs without it'
-    return f'{title(cause)} was withdrawn: {better}'
+    return f'{title(nominal, cause)} was withdrawn: {better}'
 
 
-def not_exact(block: str, axis: str) -> str:
+def not_exact(nominal: Variant, block: str, axis: str) -> str:
     """Say that a block without noise leaves something over, so that nothing found there is sure."""
     return (
-        f'the {block} of {TITLES[axis]} follows from its input to the last bit, and something is left '
-        'over: what was found there alone may stand for what is not in the library, and has no name'
+        f'the {block} of {nominal.titles[axis]} follows from its input to the last bit, and something '
+        'is left over: what was found there alone may stand for what is not in the library, and has no '
+        'name'
     )
 
 
@@ -72,17 +72,18 @@ def in_windows(
         factor, unit = with_prefix(max(both) * per_count, unit)
         inside, outside = (f'{factor * per_count * value:.3g}' for value in both)
         said += (
-            f'; the extended model leaves over {inside} {unit} RMS there on {TITLES[axis]}, '
+            f'; the extended model leaves over {inside} {unit} RMS there on {nominal.titles[axis]}, '
             f'and {outside} {unit} in the rest'
         )
     return said
 
 
-def stands_for(name: str, axis: str, same_as: Sequence[str]) -> str:
+def stands_for(variant: Variant, name: str, axis: str, same_as: Sequence[str]) -> str:
     """Say which effects together do exactly what another effect does on an axis of this model."""
     both = ' and '.join(find(one).title for one in same_as)
     verb = 'stands' if len(same_as) == 1 else 'together stand'
-    return f'in this model {find(name).title} does the same on {TITLES[axis]}: {both} {verb} for it, too'
+    same = f'{find(name).title} does the same on {variant.titles[axis]}'
+    return f'in this model {same}: {both} {verb} for it, too'
 
 
 def not_what_it_was(what: str, origin: str, apart: float) -> str:

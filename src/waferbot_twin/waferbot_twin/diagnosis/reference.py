@@ -30,7 +30,6 @@ from waferbot_twin.identification.least_squares import (
 from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.plain_values import significant, with_prefix
-from waferbot_twin.plot import TITLES
 
 UNTOLD = 'these logs do not tell it'
 
@@ -120,11 +119,15 @@ def reference_rows(
     """
     rows = []
     for fit in reference.fits:
+        axis = {'axis': reference.titles[fit.axis]}
         models = [_of_model(variant, nominal, fit) for variant in (nominal, extended)]
         for place, name in enumerate(fit.estimate.names):
             inertias = [one.inertia for one in models] if name == 'inertia' else [None, None]
-            rows.append(_row(fit, place, inertias))
-        rows += [_at_speed(fit, way, [one.at_speed(way) for one in models]) for way in (1.0, -1.0)]
+            rows.append(axis | _row(fit, place, inertias))
+        rows += [
+            axis | _at_speed(fit, way, [one.at_speed(way) for one in models])
+            for way in (1.0, -1.0)
+        ]
     return rows
 
 
@@ -175,7 +178,6 @@ def _at_speed(fit: AxisFit, way: float, models: Sequence[float | None]) -> dict[
     factor, unit = with_prefix(speed, f'{fit.length_unit}/s')
     known = bool(fit.estimate.determined.all())
     return {
-        'axis': TITLES[fit.axis],
         'what': f'constant-speed force, {significant(factor * speed, 2)} {unit}',
         'value': _text(float(force), fit.force_unit) if known else UNTOLD,
         'interval': '',
@@ -190,7 +192,6 @@ def _row(fit: AxisFit, place: int, models: Sequence[float | None]) -> dict[str, 
     known = bool(found.determined[place])
     low, high = (significant(float(end[place])) for end in (found.low95, found.high95))
     return {
-        'axis': TITLES[fit.axis],
         'what': label_of(name, fit),
         'value': _text(float(found.value[place]), unit) if known else UNTOLD,
         'interval': f'{low} to {high} {unit}' if known else '',
@@ -206,7 +207,8 @@ def _text(value: float | None, unit: str) -> str:
 def reference_remarks(reference: LeastSquares) -> list[str]:
     """Return how well the coefficients tell the force of each log, and what to know of them."""
     errors = [
-        f'{TITLES[fit.axis]} in {one.log}{"" if one in fit.fitted else " (not used for the fit)"}: '
+        f'{reference.titles[fit.axis]} in {one.log}'
+        f'{"" if one in fit.fitted else " (not used for the fit)"}: '
         f'{100.0 * one.relative:.3g} % of the force is left, RMS {significant(one.rms, 3)} '
         f'{fit.force_unit}{_of_models(one)}'
         for fit in reference.fits

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,6 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.html_page import STYLE, picture, save_picture
 from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.plain_values import finite, significant, with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.titles import with_titles
 from waferbot_twin.validation.gain import AxisGain
@@ -80,7 +80,7 @@ def as_dict(
         'corrections': [
             {
                 **dataclasses.asdict(item.correction),
-                'parameter': with_titles(item.correction.parameter),
+                'parameter': with_titles(item.correction.parameter, diagnosis.nominal.titles),
                 'told': item.told,
                 'on_bound': item.on_bound,
             }
@@ -98,7 +98,7 @@ def as_dict(
         },
         'least_squares': reference_dict(reference),
         'logs': {'estimation': diagnosis.estimation, 'validation': diagnosis.validation},
-        'notes': [with_titles(note) for note in diagnosis.notes],
+        'notes': [with_titles(note, diagnosis.nominal.titles) for note in diagnosis.notes],
         'settings': dataclasses.asdict(diagnosis.settings),
         'tried': diagnosis.tried,
         'runtime_s': diagnosis.runtime_s,
@@ -122,7 +122,7 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
         'effect': found.cause.effect.name,
         'axis': found.cause.axis,
         'block': found.cause.effect.block.value,
-        'title': title(found.cause),
+        'title': title(nominal, found.cause),
         'words': in_words(nominal, found.cause, no_findings(found)),
         'summary': found.cause.effect.summary,
         'parameters': {
@@ -145,7 +145,7 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
             {
                 'effect': item.cause.effect.name,
                 'axis': item.cause.axis,
-                'title': title(item.cause),
+                'title': title(nominal, item.cause),
                 'probability': item.probability,
                 'values': item.cause.values,
             }
@@ -160,7 +160,7 @@ def write(diagnosis: Diagnosis, folder: Path, reference: LeastSquares | None = N
     (folder / 'report.json').write_text(content + '\n', 'utf-8')
     (folder / 'extended.yaml').write_text(extended_text(diagnosis), 'utf-8')
     (folder / 'report.html').write_text(page(diagnosis, reference), 'utf-8')
-    save_picture(draw_gains(diagnosis.gains), folder / 'gain.png')
+    save_picture(draw_gains(diagnosis.gains, diagnosis.nominal.titles), folder / 'gain.png')
 
 
 def extended_text(diagnosis: Diagnosis) -> str:
@@ -191,14 +191,14 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         included_from=probability_text(diagnosis.settings.included_from),
         credible=percent_text(diagnosis.settings.credible_level),
         readings=_readings(),
-        corrections=[correction_row(item) for item in stated(diagnosis)],
+        corrections=[correction_row(item, nominal.titles) for item in stated(diagnosis)],
         unexplained=unexplained_rows(diagnosis),
         force_picture=Markup(picture(forces)) if forces is not None else '',
         bins=BINS,
         validation_words=_validation_words(diagnosis),
         # Made by us, of escaped text and numbers.
-        gain_picture=Markup(picture(draw_gains(diagnosis.gains))),
-        gain_table=Markup(gain_table(diagnosis.gains)),
+        gain_picture=Markup(picture(draw_gains(diagnosis.gains, nominal.titles))),
+        gain_table=Markup(gain_table(diagnosis.gains, nominal.titles)),
         gain_with_unnamed=gain_with_unnamed(diagnosis),
         first_log=diagnosis.problem.records[0].name,
         residual_picture=Markup(picture(figures.draw_residuals(diagnosis))),
@@ -216,7 +216,7 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
 def _note(diagnosis: Diagnosis, note: str) -> str:
     """Return a note as a sentence; the name of a log that it begins with stays as it is."""
     logs = (*diagnosis.estimation, *diagnosis.validation)
-    text = with_titles(note)
+    text = with_titles(note, diagnosis.nominal.titles)
     return text if any(note.startswith(f'{name}:') for name in logs) else capital(text)
 
 
@@ -230,7 +230,7 @@ def unexplained_rows(diagnosis: Diagnosis) -> list[dict[str, str]]:
     """Return what stays unexplained: axis, share, band, where it shows and what it goes with."""
     return [
         {
-            'axis': TITLES[item.axis],
+            'axis': diagnosis.nominal.titles[item.axis],
             'share': percent_text(item.share),
             'width': _width(item.share),
             'band': band_text(band),
@@ -245,7 +245,8 @@ def gain_with_unnamed(diagnosis: Diagnosis) -> list[str]:
     """Return, of each axis, what all without a name gains beside what the extended model does."""
     without = gain_of_axes(diagnosis.gains)
     return [
-        f'{TITLES[axis]}: {without[axis]["improvement_percent"]:.1f} % with the extended model, '
+        f'{diagnosis.nominal.titles[axis]}: '
+        f'{without[axis]["improvement_percent"]:.1f} % with the extended model, '
         f'{found["improvement_percent"]:.1f} % with what has no name beside it'
         for axis, found in gain_of_axes(_with_unnamed(diagnosis)).items()
         if axis in without
@@ -276,7 +277,7 @@ def _row(nominal: Variant, found: FoundCause) -> dict[str, Any]:
     }
 
 
-def correction_row(item: StatedCorrection) -> dict[str, str]:
+def correction_row(item: StatedCorrection, titles: Mapping[str, str]) -> dict[str, str]:
     """Return a correction in words: what, nominal, found, interval or that the logs do not tell it."""
     own = item.correction
     factor, unit = with_prefix(max(abs(own.nominal), abs(own.found)), own.unit)
@@ -288,7 +289,7 @@ def correction_row(item: StatedCorrection) -> dict[str, str]:
     elif not item.told:
         interval = f'{NOT_TOLD}; usual are {interval}'
     return {
-        'parameter': with_titles(own.parameter),
+        'parameter': with_titles(own.parameter, titles),
         'nominal': shown.text(own.nominal, 4),
         'found': shown.text(own.found, 4),
         'interval': interval,
@@ -307,6 +308,5 @@ def _validation_words(diagnosis: Diagnosis) -> str:
     )
     if best.improvement_percent < HARDLY_PERCENT:
         return said + 'the extended model is not nearer to them than the nominal one.'
-    return said + (
-        f'its RMS falls most on {TITLES[best.axis]}, by {best.improvement_percent:.0f} %.'
-    )
+    axis = diagnosis.nominal.titles[best.axis]
+    return said + f'its RMS falls most on {axis}, by {best.improvement_percent:.0f} %.'

@@ -24,12 +24,10 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.plain_values import significant, with_prefix
-from waferbot_twin.plot import TITLES
 from waferbot_twin.residuals.problem import Cause
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
-    from waferbot_twin.diagnosis.inference.unexplained import Unexplained
 
 READINGS = ((0.95, 'beyond doubt'), (0.8, 'likely'), (0.0, 'perhaps'))
 """How a probability reads, from which one on."""
@@ -123,9 +121,9 @@ def metres_per_count(variant: Variant, axis: str) -> tuple[float, str]:
     return 1.0 / places.axis_counts(variant, axis), places.length_unit(variant, axis)
 
 
-def title(cause: Cause) -> str:
+def title(variant: Variant, cause: Cause) -> str:
     """Return a cause without its size: "backlash on Y-Rotate"."""
-    return f'{cause.effect.title} on {TITLES[cause.axis]}'
+    return f'{cause.effect.title} on {variant.titles[cause.axis]}'
 
 
 def size(variant: Variant, cause: Cause, without: Collection[str] = ()) -> str:
@@ -199,7 +197,9 @@ def rated_word(unit: str) -> str:
 def in_words(variant: Variant, cause: Cause, without: Collection[str] = ()) -> str:
     """Return a cause with its size on the axis; what it is said `without` is no finding."""
     told = size(variant, cause, without)
-    return f'{cause.effect.title}, {told} on {TITLES[cause.axis]}' if told else title(cause)
+    if not told:
+        return title(variant, cause)
+    return f'{cause.effect.title}, {told} on {variant.titles[cause.axis]}'
 
 
 def capital(text: str) -> str:
@@ -214,16 +214,16 @@ def sentence(diagnosis: Diagnosis) -> str:
     The share of the error explained, the probability and what stays unexplained are always said. What
     does not fit of the rest (the size, what else it may be, how many other causes) is left to the table.
     """
-    left = _left_over(diagnosis.unexplained)
+    left = _left_over(diagnosis)
     if not diagnosis.causes:
-        may_be = _possible(diagnosis.possible)
+        may_be = _possible(diagnosis)
         if not diagnosis.unexplained:
             none = 'The model explains these logs: no cause and nothing unexplained was found'
             return f'{none}{may_be}.'
         return f'No known cause explains these logs: {left}{may_be}.'
     first = diagnosis.causes[0]
     wordings: list[Callable[[], str]] = [
-        lambda: _first(diagnosis, first, True) + _other(first) + _more(diagnosis),
+        lambda: _first(diagnosis, first, True) + _other(diagnosis, first) + _more(diagnosis),
         lambda: _first(diagnosis, first, True) + _more(diagnosis),
         lambda: _first(diagnosis, first, False) + _more(diagnosis),
         lambda: _first(diagnosis, first, False),
@@ -235,21 +235,20 @@ def sentence(diagnosis: Diagnosis) -> str:
     return text
 
 
-def _possible(possible: Sequence[FoundCause]) -> str:
+def _possible(diagnosis: Diagnosis) -> str:
     """Return what is possible, but not so sure that it is named."""
-    if not possible:
+    if not diagnosis.possible:
         return ''
-    first = possible[0]
-    return (
-        f'; {title(first.cause)} is possible (probability {probability_text(first.probability)})'
-    )
+    first = diagnosis.possible[0]
+    may_be = title(diagnosis.nominal, first.cause)
+    return f'; {may_be} is possible (probability {probability_text(first.probability)})'
 
 
 def _first(diagnosis: Diagnosis, first: FoundCause, with_size: bool) -> str:
     cause = first.cause
     told = size(diagnosis.nominal, cause, no_findings(first)) or _why_none(first)
     told = told if with_size else ''
-    what = f'{capital(title(cause))} ({told})' if told else capital(title(cause))
+    what = capital(title(diagnosis.nominal, cause)) + (f' ({told})' if told else '')
     return (
         f'{what} explains {percent_text(first.share)} of the error there, '
         f'{reading(first.probability)} (probability {probability_text(first.probability)})'
@@ -261,10 +260,10 @@ def _why_none(first: FoundCause) -> str:
     return 'its size is not told by these logs' if no_findings(first) else ''
 
 
-def _other(first: FoundCause) -> str:
+def _other(diagnosis: Diagnosis, first: FoundCause) -> str:
     if not first.alternatives or first.probability >= READINGS[0][0]:
         return ''
-    return f'; else {title(first.alternatives[0].cause)}'
+    return f'; else {title(diagnosis.nominal, first.alternatives[0].cause)}'
 
 
 def _more(diagnosis: Diagnosis) -> str:
@@ -272,10 +271,10 @@ def _more(diagnosis: Diagnosis) -> str:
     return f'; {more} more {"causes" if more > 1 else "cause"} below' if more else ''
 
 
-def _left_over(unexplained: Sequence[Unexplained]) -> str:
-    if not unexplained:
+def _left_over(diagnosis: Diagnosis) -> str:
+    if not diagnosis.unexplained:
         return ''
-    axes = list(dict.fromkeys(TITLES[item.axis] for item in unexplained))
+    axes = dict.fromkeys(diagnosis.nominal.titles[item.axis] for item in diagnosis.unexplained)
     return f'something on {" and ".join(axes)} stays unexplained'
 
 

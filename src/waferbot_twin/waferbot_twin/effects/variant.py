@@ -113,6 +113,11 @@ class Variant:
         document = Document(dict(self.machine), {(): (self.name, 1)})
         return check(document, self.damping)
 
+    @property
+    def titles(self) -> Mapping[str, str]:
+        """What reports and plots call the axes."""
+        return self.description.titles
+
     @cached_property
     def rigid(self) -> Assembly:
         """The machine with every connection rigid: what moves with what, and how much of it."""

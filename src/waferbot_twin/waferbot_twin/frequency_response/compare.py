@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +41,8 @@ class Comparison:
     A frequency response by measurement and, if it could be simulated, by the model.
 
     `linear` is what the linearised plant of the model has at the frequencies of `measured`, None for
-    other responses than that of the plant. `pairs` are the peaks. `notes` say what could not be done.
+    other responses than that of the plant. `pairs` are the peaks. `notes` say what could not be done,
+    `titles` what the model calls its axes.
     """
 
     logs: tuple[str, ...]
@@ -53,6 +54,7 @@ class Comparison:
     linear: ComplexArray | None
     pairs: tuple[Pair, ...]
     notes: tuple[str, ...]
+    titles: Mapping[str, str]
 
 
 def read_log(
@@ -112,6 +114,7 @@ def compare(
     return Comparison(
         tuple(log.name for log in logs), channels, unit_of(channels, variant), variant.name,
         measured, simulated, _linear(channels, variant, measured, logs), tuple(pairs), tuple(notes),
+        variant.titles,
     )  # fmt: skip
 
 

@@ -26,7 +26,6 @@ from waferbot_twin.frequency_response.peaks import (
     NOT_JUDGED,
     RESONANCE,
 )
-from waferbot_twin.plot import TITLES
 
 SCHEMA = 1
 MEASURED_COLOUR, MODEL_COLOUR = '#222222', '#c46a1b'
@@ -158,7 +157,7 @@ def draw(comparison: Comparison, file: Path) -> None:
         panel.set_xlim(comparison.measured.frequency_hz[[0, -1]])
     magnitude.legend(fontsize=8, loc='best')
     figure.suptitle(
-        f'{TITLES[source.axis]}: {source.kind} to {_other(comparison)}{target.kind}, '
+        f'{comparison.titles[source.axis]}: {source.kind} to {_other(comparison)}{target.kind}, '
         f'{", ".join(comparison.logs)}',
         fontsize=11,
     )
@@ -168,7 +167,7 @@ def draw(comparison: Comparison, file: Path) -> None:
 
 def _other(comparison: Comparison) -> str:
     source, target = comparison.channels
-    return '' if source.axis == target.axis else f'{TITLES[target.axis]} '
+    return '' if source.axis == target.axis else f'{comparison.titles[target.axis]} '
 
 
 def _where(mask: np.ndarray, values: Array) -> Array:

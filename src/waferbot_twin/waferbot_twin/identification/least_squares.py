@@ -11,12 +11,12 @@ ampere makes.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.contract import AXES, USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
@@ -113,11 +113,12 @@ class AxisFit:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """The least squares of all axes of some logs."""
+    """The least squares of all axes of some logs; `titles` are what reports call the axes."""
 
     fits: tuple[AxisFit, ...]
     logs: tuple[str, ...]
     validation: tuple[str, ...]
+    titles: Mapping[str, str]
     options: Options = field(default_factory=Options)
 
 
@@ -149,6 +150,7 @@ def identify_by_least_squares(
         tuple(fits),
         tuple(log.name for log in logs),
         tuple(log.name for log in validation),
+        USUAL_TITLES if variant is None else variant.titles,
         options,
     )
 

@@ -21,7 +21,6 @@ from waferbot_twin.estimation.residual_curves import BinnedMeans
 from waferbot_twin.html_page import html_page, picture
 from waferbot_twin.identification.least_squares import AxisFit, LeastSquares, LogError
 from waferbot_twin.plain_values import finite, significant
-from waferbot_twin.plot import TITLES
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.titles import with_titles
 
@@ -154,15 +153,16 @@ def table_rows(result: LeastSquares) -> list[tuple[str, ...]]:
             value, low, high = values
             if not item['determined']:
                 value = 'left open'
-            rows.append((TITLES[axis], item['name'], value, low, high, item['unit']))
+            rows.append((result.titles[axis], item['name'], value, low, high, item['unit']))
     return rows
 
 
 def errors_in_words(result: LeastSquares) -> list[str]:
     """Return, of each log and axis, how well the coefficients tell its force."""
     return [
-        f'{TITLES[fit.axis]}, {one.log}{"" if one in fit.fitted else " (validation)"}: relative force '
-        f'error {100.0 * one.relative:.2f} %, RMS {significant(one.rms, 3)} {fit.force_unit}'
+        f'{result.titles[fit.axis]}, {one.log}{"" if one in fit.fitted else " (validation)"}: '
+        f'relative force error {100.0 * one.relative:.2f} %, '
+        f'RMS {significant(one.rms, 3)} {fit.force_unit}'
         for fit in result.fits
         for one in (*fit.fitted, *fit.validation)
     ]
@@ -172,10 +172,11 @@ def remarks(result: LeastSquares) -> list[str]:
     """Return how the filter stood, what stands out over position, and the notes."""
     said = []
     for fit in result.fits:
-        said.append(f'{TITLES[fit.axis]}: filter {fit.cut_off_hz:.3g} Hz, 4th order, both ways')
+        title = result.titles[fit.axis]
+        said.append(f'{title}: filter {fit.cut_off_hz:.3g} Hz, 4th order, both ways')
         if fit.terms.rise_speed is not None:
             said.append(
-                f'{TITLES[fit.axis]}: what differs at rest fades with exp(-|speed| / '
+                f'{title}: what differs at rest fades with exp(-|speed| / '
                 f'{significant(fit.terms.rise_speed, 3)} {fit.length_unit}/s)'
             )
         lines = _lines(fit)[:MOST_NAMED]
@@ -189,8 +190,8 @@ def remarks(result: LeastSquares) -> list[str]:
                 )
                 for one in lines
             )
-            said.append(f'{TITLES[fit.axis]}: left over with position: {", ".join(texts)}')
-        said += [with_titles(f'{fit.axis}: {note}') for note in fit.notes]
+            said.append(f'{title}: left over with position: {", ".join(texts)}')
+        said += [with_titles(f'{fit.axis}: {note}', result.titles) for note in fit.notes]
     return said
 
 
@@ -215,7 +216,8 @@ def page(result: LeastSquares) -> str:
         *(f'<p>{html.escape(line)}.</p>' for line in remarks(result)),
     ]
     for fit in result.fits:
-        body += [f'<h2>{TITLES[fit.axis]}: what is left over</h2>', picture(draw(fit))]
+        title = html.escape(result.titles[fit.axis])
+        body += [f'<h2>{title}: what is left over</h2>', picture(draw(fit))]
     body.append(
         '<p>Bars are 95 % intervals from the scatter of passes. A line in the spectrum stands at one '
         'period of the position whatever the speed: cogging, a screw, teeth, an eccentric encoder.</p>'

@@ -172,8 +172,8 @@ def page(result: Identification) -> str:
         '<p>Measured in logs that were not used for the fit.</p>'
         if result.independent
         else '<p>Measured in the logs of the fit: it says little.</p>',
-        gain_table(result.gains),
-        picture(draw_gains(result.gains)) if result.gains else '',
+        gain_table(result.gains, result.nominal.titles),
+        picture(draw_gains(result.gains, result.nominal.titles)) if result.gains else '',
         f'<p>Fitted to {html.escape(", ".join(result.fitted))} in {result.runtime_s:.0f} s.</p>',
     ]
     return html_page('Identification', body)

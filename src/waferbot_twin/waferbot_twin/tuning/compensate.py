@@ -24,7 +24,7 @@ from waferbot_pmac.experiments import Experiment
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.html_page import save_picture
 from waferbot_twin.plain_values import finite
-from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, TITLES, scaled_unit
+from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, scaled_unit
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.tuning.feedforward import (
     commanded_motion,
@@ -156,7 +156,9 @@ def draw(found: Compensated, file: Path) -> None:
             upper.plot(
                 run.servo_time, run.following_error * factor, color=colour, lw=0.9, label=case
             )
-        upper.set_title(f'{TITLES[axis]}: {100.0 * found.gain(axis):.1f} % smaller RMS')
+        upper.set_title(
+            f'{found.variant.titles[axis]}: {100.0 * found.gain(axis):.1f} % smaller RMS'
+        )
         upper.set_ylabel(f'following error [{unit}]')
         upper.set_xlabel('time [s]')
         upper.legend(fontsize=8)

@@ -21,7 +21,7 @@ from matplotlib.ticker import FuncFormatter
 
 from waferbot_twin.html_page import save_picture
 from waferbot_twin.plain_values import finite
-from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, TITLES, scaled_unit
+from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, scaled_unit
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.tuning.loop import Loop
 from waferbot_twin.tuning.tune import Row, Tuned
@@ -197,9 +197,13 @@ def _title(tuned: Tuned) -> str:
     machines = len({row.machine for row in tuned.rows})
     poses = len(tuned.rows) // machines
     return (
-        f'{TITLES[tuned.axis]} of {tuned.design.variant.name}: after, at least {gain:.1f} dB and '
+        f'{_axis(tuned)} of {tuned.design.variant.name}: after, at least {gain:.1f} dB and '
         f'{phase:.0f}° ({_several(poses, "pose")}, {_several(machines, "machine")})'
     )
+
+
+def _axis(tuned: Tuned) -> str:
+    return tuned.design.variant.titles[tuned.axis]
 
 
 def _several(count: int, what: str) -> str:
@@ -210,7 +214,7 @@ def sentence(tuned: Tuned) -> str:
     """Return in a sentence what was gained and what the margins are."""
     worst = [row.after.margins for row in tuned.rows]
     said = (
-        f'{TITLES[tuned.axis]}: at least {min(abs(one.gain_db) for one in worst):.1f} dB, '
+        f'{_axis(tuned)}: at least {min(abs(one.gain_db) for one in worst):.1f} dB, '
         f'{min(abs(one.phase_deg) for one in worst):.1f} degrees and '
         f'{1e3 * min(one.delay_s for one in worst):.2f} ms of delay at every pose'
     )

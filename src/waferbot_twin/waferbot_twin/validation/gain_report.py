@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from waferbot_twin.envelope import draw_signal
 from waferbot_twin.plain_values import with_prefix
-from waferbot_twin.plot import TITLES, scaled_unit
+from waferbot_twin.plot import scaled_unit
 from waferbot_twin.validation.gain import AxisGain
 
 HARDLY_PERCENT = 1.0
@@ -56,7 +56,7 @@ def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
     }
 
 
-def draw_gains(gains: Sequence[AxisGain]) -> Figure:
+def draw_gains(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> Figure:
     """Draw positions and errors of both models for every axis of the first validation log."""
     log = gains[0].log if gains else ''
     items = [item for item in gains if item.log == log]
@@ -75,7 +75,7 @@ def draw_gains(gains: Sequence[AxisGain]) -> Figure:
         panels[0][column].plot(
             item.time_s, item.measured * factor, color=MEASURED, lw=1.0, ls=':', label='measured'
         )
-        panels[0][column].set_title(f'{TITLES[item.axis]}: {_how_much(item)}')
+        panels[0][column].set_title(f'{titles[item.axis]}: {_how_much(item)}')
         panels[0][column].set_ylabel(f'position [{unit}]')
         panels[0][column].legend(fontsize=8, loc='best')
         factor, unit = scaled_unit(item.error_before, item.unit)
@@ -100,13 +100,13 @@ def _how_much(item: AxisGain) -> str:
     return f'{abs(percent):.0f} % {"better" if percent > 0.0 else "worse"}'
 
 
-def gain_table(gains: Sequence[AxisGain]) -> str:
+def gain_table(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> str:
     """Return the gain of every log and axis as a table of HTML."""
     rows = ''
     for item in gains:
         factor, unit = with_prefix(max(item.rms_before, item.rms_after), item.unit)
         rows += (
-            f'<tr><td>{html.escape(item.log)}, {TITLES[item.axis]}</td>'
+            f'<tr><td>{html.escape(f"{item.log}, {titles[item.axis]}")}</td>'
             f'<td>{factor * item.rms_before:.4g} {unit}</td>'
             f'<td>{factor * item.rms_after:.4g} {unit}</td>'
             f'<td>{item.improvement_percent:.1f} %</td></tr>'

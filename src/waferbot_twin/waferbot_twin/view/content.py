@@ -23,7 +23,7 @@ from waferbot_plant.motors import force_constant
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
 from waferbot_twin.models import recorded_model
-from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, TITLES, scaled_unit
+from waferbot_twin.plot import COMMAND_COLOUR, ERROR_COLOUR, MEASURED_COLOUR, scaled_unit
 from waferbot_twin.recording.reader import Recording
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import axis_responses
@@ -92,6 +92,7 @@ class ViewContent:
         self.plots = [plot for response in responses for plot in _plots(response)]
         self._load_ends, self._loads = loads_of(machine, told, recording.timing)
         self._responses = responses
+        self._titles = description.titles
         self._motor_turns = {axis: description.motor_turns(axis) for axis in description.motors}
         self._force_constants = {
             axis: force_constant(motor) for axis, motor in description.motors.items()
@@ -141,7 +142,7 @@ class ViewContent:
         force = constant * _means(response.tick_time, response.current, time_s)
         return {
             'name': response.axis,
-            'title': TITLES[response.axis],
+            'title': self._titles[response.axis],
             'unit': response.unit,
             'moves': response.moves(),
             'position': np.interp(time_s, response.encoder_time, response.position).tolist(),
