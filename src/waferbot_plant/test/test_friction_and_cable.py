@@ -83,7 +83,9 @@ def test_table_is_interpolated_and_held_beyond_its_end() -> None:
     from waferbot_plant.elements import resistance_at
 
     _, parameters, _ = slide({'speed_m_s': [0, 0.1, 0.4], 'force_n': [4.0, 2.0, 5.0]})
-    found = [resistance_at(parameters[0], 0, speed) for speed in (0.0, 0.05, 0.1, 0.25, 0.4, 9.0)]
+    found = [
+        resistance_at(parameters[0], 0, 0, speed) for speed in (0.0, 0.05, 0.1, 0.25, 0.4, 9.0)
+    ]
     assert found == pytest.approx([4.0, 3.0, 2.0, 3.5, 5.0, 5.0], rel=1e-14)
 
 
@@ -211,10 +213,10 @@ def test_two_frictions_on_one_coordinate_share_the_loss() -> None:
     s['velocity'][0] = 0.05
     for name, force in (('x_rotate', 1e3), ('y_rotate', 1e3)):
         place = [friction.coordinate for friction in machine.description.frictions.values()]
-        parameters[0]['friction_resistance'][place.index(name), 0] = force
+        parameters[0]['friction_resistance'][place.index(name), 0, 0] = force
     names = list(machine.description.frictions)
     guides = [names.index('payload_guide'), names.index('counterweight_guide')]
-    resistance = parameters[0]['friction_resistance'][guides, 0]
+    resistance = parameters[0]['friction_resistance'][guides, 0, 0]
     for _ in range(9000):
         plant.advance(state, parameters, NO_VOLTAGE)
     assert s['velocity'][0] == 0.0

@@ -205,6 +205,9 @@ class Friction:
     Between the points it is interpolated, outside them held constant. `breakaway` multiplies the
     resistance at speed zero to give the peak of static friction. `law` has the parameters of
     `friction_laws` by name; those not in it are zero.
+
+    `resistances` (n,) are over `speeds` (n,); of a map (m, n), a row for each of the `loads` (m,), which
+    are magnitudes of the motors' force or torque on the same coordinate, N or Nm, from zero up.
     """
 
     name: str
@@ -213,6 +216,7 @@ class Friction:
     resistances: Vector
     breakaway: float
     law: Mapping[str, float] = field(default_factory=dict)
+    loads: Vector = field(default_factory=lambda: np.zeros(1))
 
 
 @dataclass(frozen=True)

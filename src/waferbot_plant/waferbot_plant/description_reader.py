@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
-from waferbot_plant import imperfections, part_library
+from waferbot_plant import friction_tables, imperfections, part_library
 from waferbot_plant.description import (
     BASE,
     MULTIBODY,
@@ -462,6 +461,7 @@ class Reader:
             if name in dampers:
                 raise self.document.error(key, 'a damper has this name already')
             coordinate, _ = self.coordinate(key, value)
+            friction_tables.refuse_loads(self, key, 'the friction of a part has no map')
             found = self.friction_of_part(key, value)
             factor = value.get('factor', 1.0)
             frictions[name] = Friction(
@@ -520,25 +520,19 @@ class Reader:
         raise self.document.error(key, f'{coordinate} is a rotor, which no bearing load hangs on')
 
     def friction(self, name: str) -> Friction:
-        """Read a table of friction over speed."""
+        """Read a table of friction over speed, or a map over load and speed."""
         key: Key = ('frictions', name)
         value = self.data['frictions'][name]
         coordinate, revolute = self.coordinate(key, value)
-        speeds = self.quantity(key, revolute, 'speed_m_s', 'speed_rad_s')
-        resistances = self.quantity(key, revolute, 'force_n', 'torque_nm')
-        if len(speeds) != len(resistances):
-            raise self.document.error(
-                key, f'{len(speeds)} speeds but {len(resistances)} values of friction'
-            )
-        if speeds[0] != 0.0 or any(a >= b for a, b in pairwise(speeds)):
-            raise self.document.error(key, f'speeds must rise from 0; they are {speeds}')
+        speeds, loads, resistances = friction_tables.read_table(self, key, revolute)
         return Friction(
             name,
             coordinate,
-            np.array(speeds, float),
-            np.array(resistances, float) * value.get('factor', 1.0),
+            speeds,
+            resistances * value.get('factor', 1.0),
             float(value.get('breakaway', 1.0)),
             imperfections.read_friction_law(self, key, revolute),
+            loads,
         )
 
     def damper(self, name: str) -> Damper:

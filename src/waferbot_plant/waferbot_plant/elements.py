@@ -17,7 +17,8 @@ from waferbot_lockstep.compiled import compiled
 from waferbot_plant.spring_laws import force_and_arms_now, stored_in_law
 
 LONGEST_TABLE = 16
-"""Most points that a table of friction can have."""
+MOST_LOADS = 8
+"""Most points over speed, and over load, that a table of friction can have."""
 
 
 def parameter_fields(springs: int, cables: int, frictions: int) -> list[tuple]:
@@ -27,7 +28,7 @@ def parameter_fields(springs: int, cables: int, frictions: int) -> list[tuple]:
     A spring or cable deflects by first_ratio * z[first] + second_ratio * z[second] from its
     `rest`; stiffness in N/m (Nm/rad), damping in N s/m (Nm s/rad). A friction acts on `ratio`
     times one coordinate with a table of resistance (N, Nm) over speed, and `breakaway` times its
-    first value.
+    first value. A row of the table is for a load; all but the first are for `friction_laws`.
     """
     two_sided = [
         ('first', 'i8'), ('second', 'i8'), ('first_ratio', 'f8'), ('second_ratio', 'f8'),
@@ -40,7 +41,7 @@ def parameter_fields(springs: int, cables: int, frictions: int) -> list[tuple]:
         ('friction_ratio', 'f8', (frictions,)),
         ('friction_points', 'i8', (frictions,)),
         ('friction_speed', 'f8', (frictions, LONGEST_TABLE)),
-        ('friction_resistance', 'f8', (frictions, LONGEST_TABLE)),
+        ('friction_resistance', 'f8', (frictions, MOST_LOADS, LONGEST_TABLE)),
         ('friction_breakaway', 'f8', (frictions,)),
     ]
 
@@ -233,18 +234,18 @@ def book_cables(s, p, before, after, mean_speed, step):
 
 
 @compiled
-def resistance_at(p, friction, speed):
-    """Return the dry friction (N, Nm) from its table at a speed (m/s, rad/s) of zero or more."""
+def resistance_at(p, friction, row, speed):
+    """Return dry friction (N, Nm) from a row of its table, at a speed (m/s, rad/s) of zero or more."""
     last = p['friction_points'][friction] - 1
     if speed >= p['friction_speed'][friction, last]:
-        return p['friction_resistance'][friction, last]
+        return p['friction_resistance'][friction, row, last]
     point = 0
     while speed >= p['friction_speed'][friction, point + 1]:
         point += 1
     low = p['friction_speed'][friction, point]
     high = p['friction_speed'][friction, point + 1]
-    start = p['friction_resistance'][friction, point]
-    rise = p['friction_resistance'][friction, point + 1] - start
+    start = p['friction_resistance'][friction, row, point]
+    rise = p['friction_resistance'][friction, row, point + 1] - start
     return start + rise * (speed - low) / (high - low)
 
 
@@ -262,8 +263,8 @@ def limit_friction(s, p, speed):
     for friction in range(p['frictions']):
         coordinate = p['friction_coordinate'][friction]
         ratio = abs(p['friction_ratio'][friction])
-        at_rest = p['friction_resistance'][friction, 0]
-        moving = resistance_at(p, friction, ratio * abs(speed[coordinate]))
+        at_rest = p['friction_resistance'][friction, 0, 0]
+        moving = resistance_at(p, friction, 0, ratio * abs(speed[coordinate]))
         s['friction_now'][friction] = ratio * moving
         s['sliding_friction'][coordinate] += ratio * moving
         s['holding_friction'][coordinate] += ratio * at_rest * p['friction_breakaway'][friction]

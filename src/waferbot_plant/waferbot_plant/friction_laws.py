@@ -2,7 +2,7 @@
 """
 What makes real dry friction differ from a table of resistance over speed.
 
-The table T(|u|) of a friction, with u the speed of its coordinate x, is made
+The table T(|u|) of a friction, or its map T(|u|, |F_m|), with u the speed of its coordinate x, is made
 
     R = (T + b |u|^p + mu |F_m|) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau)) (1 + a sign(u))
 
@@ -11,6 +11,14 @@ the force or torque F_m of the motors on the same coordinate, position-dependent
 eccentric seal), cold at the start of the run (a ferrofluid that warms), and dependent on direction.
 At rest T is the table's first value times `breakaway`. It stays set-valued: whatever is within the
 limits of both directions sticks exactly.
+
+A **map** has rows T_j at loads L_j from zero up. With T_j(|u|) the row as a table, and |F_m| from L_j to
+L_j+1, it is bilinear,
+
+    T = T_j(|u|) + (T_j+1(|u|) - T_j(|u|)) (|F_m| - L_j) / (L_j+1 - L_j),
+
+and held constant beyond the last load and speed. At constant speed F_m is what goes in, and T what does
+not come out: a gearbox on a test bench is known so, whatever is inside (thesis, chapter 7).
 
 mu may differ with who drives: mu_d where the motor does (F_m u > 0), mu_b where the load does
 (F_m u < 0). For a gear or screw of efficiencies eta_d and eta_b the loss is the part of what comes
@@ -46,7 +54,7 @@ from __future__ import annotations
 import math
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.elements import resistance_at
+from waferbot_plant.elements import MOST_LOADS, resistance_at
 from waferbot_plant.motors import MOTORS, NONE, force_and_damping
 
 
@@ -56,14 +64,19 @@ def parameter_fields(frictions: int) -> list[tuple]:
 
     In the order of the equation: b (N or Nm at 1 m/s or rad/s), p (-), mu_d (-), mu_b - mu_d (-),
     A (-), k (rad per m or rad of x), phase (rad), C (-), 1 / tau (1/s), a (-); sigma_0 in N/m or
-    Nm/rad, sigma_1 in N s/m or Nm s/rad.
+    Nm/rad, sigma_1 in N s/m or Nm s/rad. Of a map, the number of rows (1 for a table) and their loads,
+    N or Nm.
     """
     names = (
         'drag', 'drag_exponent', 'per_motor_force', 'more_when_driven',
         'position_amplitude', 'position_wave', 'position_phase', 'cold_amplitude',
         'cold_rate', 'asymmetry', 'bristle_stiffness', 'bristle_damping',
     )  # fmt: skip
-    return [(f'friction_{name}', 'f8', (frictions,)) for name in names]
+    return [
+        *((f'friction_{name}', 'f8', (frictions,)) for name in names),
+        ('friction_loads', 'i8', (frictions,)),
+        ('friction_load', 'f8', (frictions, MOST_LOADS)),
+    ]
 
 
 def state_fields(frictions: int, coordinates: int) -> list[tuple]:
@@ -97,6 +110,7 @@ def find_friction_laws(s, p):
             | (p['friction_cold_amplitude'][friction] != 0.0)
             | (p['friction_asymmetry'][friction] != 0.0)
             | (p['friction_bristle_stiffness'][friction] != 0.0)
+            | (p['friction_loads'][friction] > 1)
         )
     if s['any_friction_law'] and not found:
         for row in range(p['coordinates']):
@@ -119,18 +133,19 @@ def _factor(s, p, friction, place, time):
 
 
 @compiled
-def _load_part(s, p, friction, mean):
+def _motor_force(s, p, friction, mean):
     """
-    Return what the motors' force adds to the table, N or Nm on x: the mean of both directions, and by
-    how much the limit is higher in the positive direction of x than that.
+    Return F_m, N or Nm on x; zero where the friction does not depend on it.
 
     A motor with open terminals makes no force. What pushes its coordinate from outside then stands for
     it: that is how a plant is driven by measured currents.
     """
-    share = p['friction_per_motor_force'][friction]
-    more = 0.5 * p['friction_more_when_driven'][friction]
-    if share == 0.0 and more == 0.0:
-        return 0.0, 0.0
+    if (
+        p['friction_per_motor_force'][friction] == 0.0
+        and p['friction_more_when_driven'][friction] == 0.0
+        and p['friction_loads'][friction] == 1
+    ):
+        return 0.0
     coordinate = p['friction_coordinate'][friction]
     total = 0.0
     outside = 0.0
@@ -141,14 +156,41 @@ def _load_part(s, p, friction, mean):
             ratio = p['motor_ratio'][motor]
             force, damping = force_and_damping(s, p, motor)
             total += ratio * (force - damping * ratio * mean[coordinate])
-    force = (total + outside) / p['friction_ratio'][friction]
+    return (total + outside) / p['friction_ratio'][friction]
+
+
+@compiled
+def _load_part(p, friction, force):
+    """
+    Return what the motors' force F_m adds to the table, N or Nm on x: the mean of both directions, and
+    by how much the limit is higher in the positive direction of x than that.
+    """
+    share = p['friction_per_motor_force'][friction]
+    more = 0.5 * p['friction_more_when_driven'][friction]
+    if share == 0.0 and more == 0.0:
+        return 0.0, 0.0
     return (share + more) * abs(force), -more * force
 
 
 @compiled
-def _speed_part(p, friction, speed):
-    """Return T + b |u|^p, N or Nm on x, at a speed |u| of zero or more."""
-    found = resistance_at(p, friction, speed)
+def table_part(p, friction, speed, load):
+    """Return T, N or Nm on x, at a speed |u| and a load |F_m| of zero or more."""
+    last = p['friction_loads'][friction] - 1
+    row = 0
+    while row < last and load >= p['friction_load'][friction, row + 1]:
+        row += 1
+    below = resistance_at(p, friction, row, speed)
+    if row == last:
+        return below
+    low = p['friction_load'][friction, row]
+    rise = resistance_at(p, friction, row + 1, speed) - below
+    return below + rise * (load - low) / (p['friction_load'][friction, row + 1] - low)
+
+
+@compiled
+def _moving_part(p, friction, speed, load):
+    """Return T + b |u|^p, N or Nm on x, at a speed |u| and a load |F_m| of zero or more."""
+    found = table_part(p, friction, speed, load)
     if p['friction_drag'][friction] != 0.0:
         found += p['friction_drag'][friction] * speed ** p['friction_drag_exponent'][friction]
     return found
@@ -174,16 +216,17 @@ def limit_lawful_friction(s, p, middle, mean, step):
         if ratio == 0.0:
             continue
         factor = ratio * _factor(s, p, friction, p['friction_ratio'][friction] * middle[row], time)
-        load, uneven = _load_part(s, p, friction, mean)
+        force = _motor_force(s, p, friction, mean)
+        load, uneven = _load_part(p, friction, force)
         tilt = p['friction_asymmetry'][friction]
         if p['friction_ratio'][friction] < 0.0:
             tilt, uneven = -tilt, -uneven
         # (even + uneven sign) (1 + tilt sign), in even and odd parts.
         uneven *= factor
-        even = factor * (_speed_part(p, friction, ratio * abs(mean[row])) + load)
+        even = factor * (_moving_part(p, friction, ratio * abs(mean[row]), abs(force)) + load)
         moving, odd = even + tilt * uneven, tilt * even + uneven
         breakaway = p['friction_breakaway'][friction]
-        even = factor * (p['friction_resistance'][friction, 0] + load) * breakaway
+        even = factor * (table_part(p, friction, 0.0, abs(force)) + load) * breakaway
         uneven *= breakaway
         s['friction_now'][friction] = moving
         s['friction_tilt_now'][friction] = odd
@@ -204,8 +247,9 @@ def add_presliding(s, p, matrix, right, middle, mean, velocity, step):
         row = p['friction_coordinate'][friction]
         ratio = p['friction_ratio'][friction]
         speed = ratio * mean[row]
-        load, uneven = _load_part(s, p, friction, mean)
-        limit = _speed_part(p, friction, abs(speed)) + load
+        force = _motor_force(s, p, friction, mean)
+        load, uneven = _load_part(p, friction, force)
+        limit = _moving_part(p, friction, abs(speed), abs(force)) + load
         limit += uneven if speed >= 0.0 else -uneven
         limit *= _factor(s, p, friction, ratio * middle[row], time)
         tilt = p['friction_asymmetry'][friction]

@@ -329,14 +329,16 @@ class Machine:
         for place, spring in enumerate(self.assembly.springs):
             for name, value in spring.law.items():
                 p[f'spring_{name}'][place] = value
-        p['friction_points'] = 1
+        p['friction_points'] = p['friction_loads'] = 1
         for place, friction in enumerate(self.description.frictions.values()):
-            points = len(friction.speeds)
+            points, loads = len(friction.speeds), len(friction.loads)
             coordinate, ratio = self._placing(friction.coordinate)
             p['friction_coordinate'][place], p['friction_ratio'][place] = coordinate, ratio
             p['friction_points'][place] = points
             p['friction_speed'][place, :points] = friction.speeds
-            p['friction_resistance'][place, :points] = friction.resistances
+            p['friction_loads'][place] = loads
+            p['friction_load'][place, :loads] = friction.loads
+            p['friction_resistance'][place, :loads, :points] = friction.resistances
             p['friction_breakaway'][place] = friction.breakaway
             for name, value in friction.law.items():
                 p[f'friction_{name}'][place] = value
