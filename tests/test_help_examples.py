@@ -90,6 +90,10 @@ def folder(tmp_path_factory):
     table = np.column_stack([time_ms, position, -12.0 * position])
     np.savetxt(made / 'scope.csv', table, '%.6f', ',', header='time,position,current', comments='')
     (made / 'scope.yaml').write_text(SCOPE, 'utf-8')
+    speed, torque = (grid.ravel() for grid in np.meshgrid([20.0, 60.0, 120.0], [0.2, 0.5, 1.0]))
+    table = np.column_stack([speed, torque, 50.0 * (0.94 * torque - 0.02 - 1e-4 * speed)])
+    header = 'speed_rad_s,input_torque_nm,output_torque_nm'
+    np.savetxt(made / 'gearbox_test.csv', table, '%.6f', ',', header=header, comments='')
     return made
 
 

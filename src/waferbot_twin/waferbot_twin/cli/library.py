@@ -7,6 +7,8 @@ The library of identified parameters by type of part, in a YAML file that a team
   show PART    tells its entries of a type of part, and draws them
   start MODEL  writes a model, or a description, with its values of the same types of part: where a new
                machine begins
+  fit-gearbox TEST
+               fits the map of a gearbox's loss, over speed and load, to its test on a bench
 
 Without --library it is the one that comes with waferbot, with the damping of the thesis.
 """
@@ -17,11 +19,15 @@ import argparse
 import datetime
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.cli.console import new_table, print_json, result_console, say
 from waferbot_twin.plain_values import significant
+
+if TYPE_CHECKING:
+    from waferbot_twin.library.gearbox_points import Points
+    from waferbot_twin.library.loss_map import LossMap
 
 FORMATS = ('.png', '.svg', '.pdf')
 
@@ -30,16 +36,18 @@ EXAMPLES = (
     'waferbot library show linear_guide --plot guides.png',
     'waferbot library start flexible --out new_machine.yaml',
     'waferbot library add identified --library parts.yaml --machine robot_1 --temperature 24',
+    'waferbot library fit-gearbox gearbox_test.csv --ratio 50 --out gearbox_map.yaml',
 )
 """What `--help` shows; tests run them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of `waferbot library`."""
-    parser.add_argument('action', choices=('add', 'list', 'show', 'start'), help='what to do')
+    parser.add_argument('action', choices=tuple(ACTIONS), help='what to do')
     parser.add_argument(
-        'what', nargs='?', metavar='REPORT|PART|MODEL',
-        help='add: folder of an identification or a diagnosis; show: a type of part; start: a model',
+        'what', nargs='?', metavar='REPORT|PART|MODEL|TEST',
+        help='add: folder of an identification or a diagnosis; show: a type of part; start: a model; '
+        'fit-gearbox: a text file with the columns speed_rad_s, input_torque_nm, output_torque_nm',
     )  # fmt: skip
     parser.add_argument(
         '--library', type=Path, metavar='FILE', help='YAML (default: the shipped one, to read)'
@@ -52,24 +60,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--date', default='', metavar='YYYY-MM-DD', help='add: when (default: today)'
     )
-    parser.add_argument('--plot', type=Path, metavar='FILE', help='show: draw the entries')
-    parser.add_argument('--out', type=Path, metavar='FILE', help='start: a new file .yaml')
+    parser.add_argument('--plot', type=Path, metavar='FILE', help='show, fit-gearbox: draw it')
+    parser.add_argument('--out', type=Path, metavar='FILE', help='start, fit-gearbox: new .yaml')
+    parser.add_argument(
+        '--ratio',
+        type=float,
+        metavar='I',
+        help='fit-gearbox: turns of the input per turn of the output',
+    )
+    parser.add_argument(
+        '--speeds', nargs='+', type=float, metavar='RAD_S', help='fit-gearbox: those of the map'
+    )
+    parser.add_argument(
+        '--loads', nargs='+', type=float, metavar='NM', help='fit-gearbox: torques in, of the map'
+    )
+    parser.add_argument(
+        '--coordinate', default='y_rotate_motor', metavar='NAME',
+        help='fit-gearbox: that of the input in the description (default: %(default)s)',
+    )  # fmt: skip
     parser.add_argument('--force', action='store_true', help='replace the file that is there')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
 def execute(options: argparse.Namespace) -> int:
     """Do what was asked for."""
+    return ACTIONS[options.action](options)
+
+
+def _known(options: argparse.Namespace) -> tuple[Any, ...]:
+    """Return the entries of the library that was asked for."""
     from waferbot_twin.library.entries import load, shipped
 
-    if options.action == 'add':
-        return _add(options)
-    entries = load(options.library or shipped())
-    if options.action == 'list':
-        return _list(entries, options)
-    if options.action == 'start':
-        return _start(entries, options)
-    return _show(entries, options)
+    return load(options.library or shipped())
 
 
 def _add(options: argparse.Namespace) -> int:
@@ -108,10 +130,10 @@ def _add(options: argparse.Namespace) -> int:
     return 0
 
 
-def _list(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
+def _list(options: argparse.Namespace) -> int:
     from waferbot_twin.library.ranges import table
 
-    rows = table(entries)
+    rows = table(_known(options))
     if options.json:
         print_json(rows.to_dict('records'))
         return 0
@@ -125,19 +147,16 @@ def _list(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
     return 0
 
 
-def _show(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
+def _show(options: argparse.Namespace) -> int:
     from waferbot_lockstep.parameters import did_you_mean
     from waferbot_twin.library.entries import PARTS
     from waferbot_twin.library.ranges import draw
 
+    entries = _known(options)
     if options.what not in PARTS:
         hint = did_you_mean(str(options.what), PARTS)
         raise UserError(f'show which part{hint} (there are: {", ".join(PARTS)})')
-    if options.plot is not None:
-        if options.plot.suffix not in FORMATS:
-            raise UserError(f'--plot is {options.plot}; end it in {", ".join(FORMATS)}')
-        if options.plot.exists() and not options.force:
-            raise UserError(f'--plot {options.plot} exists; choose another name or give --force')
+    _check_new(options)
     own = [entry for entry in entries if entry.part == options.what]
     if options.json:
         print_json([entry.as_data() for entry in own])
@@ -158,27 +177,23 @@ def _show(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
     return 0
 
 
-def _start(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
+def _start(options: argparse.Namespace) -> int:
     from dataclasses import asdict
 
-    from waferbot_lockstep.atomic_files import write_text
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.library.start import with_starting_values
     from waferbot_twin.models import load_model_or_machine
 
+    entries = _known(options)
     if options.what is None or options.out is None:
         raise UserError('give a model or a description, and --out FILE to write')
-    if options.out.exists() and not options.force:
-        raise UserError(f'--out {options.out} exists; choose another name or give --force')
+    _check_new(options)
     changed, starts = with_starting_values(
         Variant.of(load_model_or_machine(options.what)), entries
     )
     if not starts:
         raise UserError(f'the library has nothing that {options.what} does not have')
-    try:
-        write_text(options.out, changed.text)
-    except OSError as error:
-        raise UserError(f'--out {options.out} cannot be written: {error.strerror}') from error
+    _write(options.out, changed.text)
     if options.json:
         print_json([asdict(one) for one in starts])
     else:
@@ -189,3 +204,96 @@ def _start(entries: tuple[Any, ...], options: argparse.Namespace) -> int:
         result_console.print(shown)
     say(f'wrote {options.out}')
     return 0
+
+
+def _fit_gearbox(options: argparse.Namespace) -> int:
+    from waferbot_twin.library.gearbox_points import read_points
+    from waferbot_twin.library.loss_map import fit
+    from waferbot_twin.library.loss_map_files import as_yaml, draw
+
+    if options.what is None or options.ratio is None or options.out is None:
+        raise UserError('give the file of a test, its --ratio, and --out FILE to write')
+    _check_new(options)
+    points = read_points(Path(options.what), options.ratio)
+    found = fit(points, options.speeds, options.loads)
+    origin = (
+        f'{Path(options.what).name}: {len(points.loss)} points, residuals of '
+        f'{found.rms:.3g} Nm RMS'
+    )
+    if math.isfinite(found.errors.max()):
+        origin += f', standard errors up to {found.errors.max():.2g} Nm'
+    _write(options.out, as_yaml(found, 'gearbox_map', options.coordinate, origin))
+    _tell_map(points, found, options.json)
+    say(f'wrote {options.out}')
+    if options.plot is not None:
+        draw(points, found, options.plot)
+        say(f'drew {options.plot}')
+    return 0
+
+
+def _tell_map(points: Points, found: LossMap, as_json: bool) -> None:
+    """Print a fitted map with its errors, and what of it the points do not cover."""
+    from waferbot_twin.library.loss_map import by_quarter, empty_cells
+
+    quarters, empty = by_quarter(points, found), empty_cells(points, found)
+    if as_json:
+        print_json(
+            {
+                'speed_rad_s': found.speeds.tolist(),
+                'load_nm': found.loads.tolist(),
+                'torque_nm': found.losses.tolist(),
+                'standard_error_nm': found.errors.tolist(),
+                'residual_rms_nm': found.rms,
+                'residual_in_errors': found.scatter,
+                'quarters': {
+                    name: {'points': count, 'mean_residual_nm': mean}
+                    for name, (count, mean) in quarters.items()
+                },
+                'cells_without_points': empty,
+            }
+        )
+    else:
+        shown = new_table('load [Nm]', *(f'{speed:.4g} rad/s' for speed in found.speeds))
+        for load, losses, errors in zip(found.loads, found.losses, found.errors, strict=True):
+            cells = (
+                f'{loss:.4g}' if math.isnan(error) else f'{loss:.4g} ± {error:.2g}'
+                for loss, error in zip(losses, errors, strict=True)
+            )
+            shown.add_row(significant(float(load), 4), *cells)
+        result_console.print(shown)
+    say(f'loss in Nm ± its standard error; residuals {found.rms:.3g} Nm RMS')
+    for name, (count, mean) in quarters.items():
+        say(
+            f'{name}: '
+            + (f'{count} points, on average {mean:+.2g} Nm off' if count else 'no points')
+        )
+    for slow, fast, low, high in empty:
+        say(f'no point between {slow:.4g} and {fast:.4g} rad/s, {low:.4g} and {high:.4g} Nm')
+    say(
+        f'constant below {found.speeds[0]:.4g} rad/s and {found.loads[0]:.4g} Nm, and beyond '
+        f'{found.speeds[-1]:.4g} rad/s and {found.loads[-1]:.4g} Nm'
+    )
+
+
+def _check_new(options: argparse.Namespace) -> None:
+    """Refuse files to write that are there already, and pictures of no known kind."""
+    if options.plot is not None and options.plot.suffix not in FORMATS:
+        raise UserError(f'--plot is {options.plot}; end it in {", ".join(FORMATS)}')
+    for name, path in (('plot', options.plot), ('out', options.out)):
+        if path is not None and path.exists() and not options.force:
+            raise UserError(f'--{name} {path} exists; choose another name or give --force')
+
+
+def _write(path: Path, text: str) -> None:
+    """Write the file that `--out` names."""
+    from waferbot_lockstep.atomic_files import write_text
+
+    try:
+        write_text(path, text)
+    except OSError as error:
+        raise UserError(f'--out {path} cannot be written: {error.strerror}') from error
+
+
+ACTIONS = {
+    'add': _add, 'list': _list, 'show': _show, 'start': _start, 'fit-gearbox': _fit_gearbox,
+}  # fmt: skip
