@@ -5,7 +5,8 @@ The two-stage planetary gearbox of the Y-Rotate axis, from what its supplier sta
 Tooth geometry is the supplier's secret, so stiffness and friction are lumped: the torsional
 rigidity from input to output, and two values of the torque that turns the unloaded gearbox. Left
 out: the variation of the mesh stiffness as teeth come and go, backlash, and friction that grows
-with load; the friction is therefore an under-estimate.
+with load; the friction is therefore an under-estimate. Where a test of the gearbox is at hand, a map of
+`waferbot_plant.friction_laws` takes the place of this friction.
 """
 
 from __future__ import annotations
