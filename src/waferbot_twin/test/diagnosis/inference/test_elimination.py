@@ -175,17 +175,20 @@ def test_a_second_fit_is_made_where_it_may_change_the_answer(
     """With the signatures as they are with a cause, a fit without it is quick, and not the best."""
     found = least_squares(np.eye(4), np.ones(4), NAMES)
     made = []
+    first, second = (SimpleNamespace(causes=causes) for causes in (('as it was left',), ('best',)))
 
-    def without(problem, found, names, workers=1, known=None):
+    def without(problem, found, names, workers=1, known=None, begun=()):
         made.append(known)
-        return 'with known signatures' if known else 'with its own'
+        assert begun == (() if known else first.causes)
+        return first if known else second
 
-    evidence = {'with known signatures': at_first, 'with its own': 4.0}
     monkeypatch.setattr(elimination, 'without', without)
     monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
     monkeypatch.setattr(elimination, 'gain', lambda one, other: gained)
     monkeypatch.setattr(
-        elimination, 'log_evidence', lambda p, more, fewer, s, gained: evidence[fewer]
+        elimination,
+        'log_evidence',
+        lambda p, more, fewer, s, gained: at_first if fewer is first else 4.0,
     )
     pool = SimpleNamespace(
         **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
@@ -194,7 +197,7 @@ def test_a_second_fit_is_made_where_it_may_change_the_answer(
     assert value == odds
     assert len(made) == fits
     assert made[0].keys() == {cause.name for cause in found.causes}
-    assert base == ('with its own' if fits > 1 else 'with known signatures')
+    assert base is (second if fits > 1 else first)
 
 
 def test_the_odds_by_parts_of_the_logs_have_the_gain_of_the_parts(monkeypatch):

@@ -28,7 +28,7 @@ from waferbot_twin.estimation.size_prior import (
     precision,
     scales_of,
 )
-from waferbot_twin.residuals.problem import Problem
+from waferbot_twin.residuals.problem import Cause, Problem
 
 
 def evident(
@@ -101,9 +101,10 @@ def odds_beside(
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
-    simulations. Another one with its own could only lower the odds. It is not made where they are too
-    low for the model already, nor where as much again as the first one gained would not make them too
-    low for a name. With `parts` by what parts of the logs agree on (`estimation.evidence.gain`).
+    simulations. Another one goes on from there with its own, and can only lower the odds. It is not made
+    where they are too low for the model already, nor where as much again as the first one gained would
+    not make them too low for a name. With `parts` by what parts of the logs agree on
+    (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
@@ -115,6 +116,7 @@ def odds_beside(
 
     names = [cause.name for cause in found.causes]
     signatures = dict(zip(names, pool.signatures_of(found), strict=True))
+    first: tuple[Cause, ...] = ()
     try:
         begun = without_by_linear(problem, found, name)
         base = without(problem, found, [name], pool.workers, signatures)
@@ -124,9 +126,10 @@ def odds_beside(
             return odds, base
         if odds - again > log_odds_at(pool.settings.named_from):
             return odds, base
+        first = base.causes
     except UserError:  # the machine does not stand where that begins
         pass
-    base = without(problem, found, [name], pool.workers)
+    base = without(problem, found, [name], pool.workers, begun=first)
     return odds_against(base), base
 
 

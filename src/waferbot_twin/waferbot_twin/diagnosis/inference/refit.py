@@ -164,18 +164,22 @@ def without(
     names: Collection[str],
     workers: int = 1,
     known: Mapping[str, Signature] | None = None,
+    begun: Sequence[Cause] = (),
 ) -> Hypothesis:
     """
     Return a hypothesis without some causes, the others fitted anew.
 
-    From where the linear problem has them (`estimation.conditional`), or from where they are if that is
-    more probable. Not fitted where the machine stands with neither. With the signatures of `found` by
-    name (`known`) that costs few simulations.
+    From where they have `begun`, if anywhere, else from where the linear problem has them
+    (`estimation.conditional`), or from where they are if that is more probable. Not fitted where the
+    machine stands with neither. With the signatures of `found` by name (`known`) that costs few
+    simulations.
     """
     places = [place for place, cause in enumerate(found.causes) if cause.name in names]
     kept = [place for place in range(len(found.causes)) if place not in places]
     as_they_are = tuple(found.causes[place] for place in kept)
-    start = _more_probable(problem, others_without(problem, found, names), as_they_are)
+    start = tuple(begun) or _more_probable(
+        problem, others_without(problem, found, names), as_they_are
+    )
     once = each_once(problem, start)
     if once != start:  # what is free now has no column in a signature that is known
         known = None
