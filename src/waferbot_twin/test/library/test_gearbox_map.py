@@ -178,10 +178,13 @@ def _check_that_the_plant_has_it(file, found) -> None:
 
 
 def test_as_many_points_as_nodes_have_no_errors_to_tell(tmp_path, capsys) -> None:
+    """The motor drives in all of them: there are none of the other flank to draw."""
     rows = [(20.0, 0.2, 9.0), (20.0, 1.0, 46.0), (90.0, 0.2, 8.5), (90.0, 1.0, 45.0)]
     file = written(tmp_path / 'few.csv', rows, NAMES[1:])
-    out = tmp_path / 'map.yaml'
-    assert main(['library', 'fit-gearbox', file, '--ratio', '50', '--out', str(out)]) == 0
+    out, picture = tmp_path / 'map.yaml', tmp_path / 'map.png'
+    arguments = ['library', 'fit-gearbox', file, '--ratio', '50', '--out', str(out)]
+    assert main([*arguments, '--plot', str(picture)]) == 0
+    assert picture.stat().st_size > 10000
     assert '±' not in capsys.readouterr().out
     assert 'nan' not in out.read_text('utf-8')
     found = load_machine('rigid', overlays=[out]).description.frictions['gearbox_map']

@@ -94,7 +94,8 @@ def hats(speed: Array, load: Array, speeds: Array, loads: Array) -> Array:
         np.column_stack([np.interp(values, nodes, one) for one in np.eye(len(nodes))])
         for values, nodes in ((speed, speeds), (load, loads))
     )
-    return np.einsum('kj,ki->kji', over_load, over_speed).reshape(len(speed), -1)
+    weights = np.einsum('kj,ki->kji', over_load, over_speed)
+    return weights.reshape(len(speed), len(loads) * len(speeds))
 
 
 def fit(
