@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.reference import reference_of, reference_remarks, reference_rows
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.residual_curves import BinnedMeans
 from waferbot_twin.identification import least_squares_report
 from waferbot_twin.identification.least_squares import identify_by_least_squares
 from waferbot_twin.logs.measured import MeasuredLog, Signal
@@ -88,6 +91,16 @@ def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
     own, other, *_ = reference_remarks(reference)
     assert own.startswith('Pendulum in one: ')
     assert other.startswith('Pendulum in two (not used for the fit): ')
+
+
+def test_where_no_speed_came_often_enough_there_is_no_force_at_one(pendulum):
+    reference = reference_of([log('one', 0.2)], [], pendulum)
+    (fit,) = reference.fits
+    empty = replace(fit, measured=BinnedMeans(*(np.zeros(0) for _ in fields(BinnedMeans))))
+    rows = reference_rows(replace(reference, fits=(empty,)), pendulum, pendulum)
+    told = [row['what'] for row in rows]
+    assert 'inertia' in told
+    assert not any(what.startswith('constant-speed force') for what in told)
 
 
 def test_an_axis_about_the_vertical_and_a_slide_need_no_sine():

@@ -127,6 +127,7 @@ def reference_rows(
         rows += [
             axis | _at_speed(fit, way, [one.at_speed(way) for one in models])
             for way in (1.0, -1.0)
+            if _speed_of(fit) > 0.0
         ]
     return rows
 
@@ -165,8 +166,8 @@ def _of_model(variant: Variant, nominal: Variant, fit: AxisFit) -> _OfModel:
 
 
 def _speed_of(fit: AxisFit) -> float:
-    """Return half of the highest speed of the logs, m/s or rad/s."""
-    return 0.5 * float(np.max(np.abs(fit.measured.centre)))
+    """Return half of the highest speed that the logs show a force at, m/s or rad/s; 0 if at none."""
+    return 0.5 * float(np.max(np.abs(fit.measured.centre), initial=0.0))
 
 
 def _at_speed(fit: AxisFit, way: float, models: Sequence[float | None]) -> dict[str, str]:
