@@ -8,8 +8,8 @@ Of drives whose current was not measured. A delay shifts the force in time, a la
 differ in what is as fast as 1 / T, at reversals and in oscillations. Next to none of it is a delay to
 first order, and logs have a time of the drive: so it is tried at sizes at which it is more.
 
-Source: W. Leonhard, Control of Electrical Drives, 3rd ed., Springer 2001, section 7.1: a closed current
-loop as one time constant.
+Source: W. Leonhard, Control of Electrical Drives, 3rd ed., Springer 2001: a closed current loop as one
+time constant.
 """
 
 from __future__ import annotations

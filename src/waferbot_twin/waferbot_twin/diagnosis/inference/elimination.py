@@ -101,10 +101,10 @@ def odds_beside(
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
-    simulations. Another one goes on from there with its own, and can only lower the odds. It is not made
-    where they are too low for the model already, nor where as much again as the first one gained would
-    not make them too low for a name. With `parts` by what parts of the logs agree on
-    (`estimation.evidence.gain`).
+    simulations. Another one goes on from there with its own, so that what it ends with is no less
+    likely. It is not made where the odds are too low for the model already, nor where as much again as
+    the first one gained would not make them too low for a name. With `parts` by what parts of the logs
+    agree on (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)

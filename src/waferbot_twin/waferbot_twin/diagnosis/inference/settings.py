@@ -26,11 +26,11 @@ class Settings:
     spread_of_masses, spread_of_force_constants, spread_of_frictions
                        standard deviations, as shares, by which every machine's parameters differ from
                        its model's (`nuisance`)
-    included_from      inclusion probability from which on an effect is in the extended model: with 1/2
-                       that is the one of all models that predicts best (M. Barbieri, J. Berger, Annals
-                       of Statistics 32, 2004: median probability model)
-    named_from         inclusion probability from which on a cause is named: 10/11 where a wrong name
-                       costs ten times as much as a name that is not given
+    included_from      inclusion probability from which on an effect is in the model of the search: with
+                       1/2 that is the one of all models that predicts best (M. Barbieri, J. Berger,
+                       Annals of Statistics 32, 2004: median probability model)
+    named_from         inclusion probability from which on a cause is named, and in the extended model:
+                       10/11 where a wrong name costs ten times as much as a name that is not given
     credible_level     probability that a credible set holds at least
     most_causes        how many causes are looked for at most
     most_refits        how many candidates are refitted through the simulation in each step
