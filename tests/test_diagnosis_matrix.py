@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from independent_machine.answers import SKEW, Answer, Answers
+from independent_machine.answers import TIME, Answer, Answers
 from scipy.signal import lfilter
 
 sys.path.insert(0, str(Path(__file__).parent / 'bench'))
@@ -1165,10 +1165,13 @@ def test_a_gain_is_compared_on_the_logs_that_judged():
 # Machines of another simulator
 
 
-def other_report(*causes, verdict='explained', notes=()):
+def other_report(*causes, verdict='explained', late_s=()):
     return {
         'verdict': verdict,
-        'notes': list(notes),
+        'corrections': [
+            {'path': 'logs.x_rotate.skew_s', 'found': found, 'low': low, 'high': high}
+            for found, low, high in late_s
+        ],
         'runtime_s': 1.0,
         'causes': [
             {
@@ -1196,10 +1199,10 @@ def other_score(expected, *causes, **more):
 
 MASS = Answers((Answer('wrong_inertia', {'inertia': 0.2}),), frozenset({'force_constant'}))
 DRAG = Answers((Answer('viscous_friction', {'damping': 1.0}),))
-LATE = Answers((Answer('encoder_delay', {'delay': 3.0}), Answer(SKEW, {'late_s': -1e-3})))
+LATE = Answers((Answer('encoder_delay', {'delay': 3.0}), Answer(TIME, {'late_s': -1e-3})))
 
 
-def test_machines_of_another_simulator_are_scored_by_name_set_and_note():
+def test_machines_of_another_simulator_are_scored_by_name_set_and_correction():
     inertia = ('wrong_inertia', (), {'inertia': (0.21, 0.19, 0.23)})
     drag = ('viscous_friction', (), {'damping': (1.3, 1.2, 1.4)})
     both = other_score({'mass': MASS, 'viscous': DRAG}, inertia, drag)
@@ -1216,12 +1219,13 @@ def test_machines_of_another_simulator_are_scored_by_name_set_and_note():
     false = other_score({'mass': MASS}, inertia, ('cogging', ('torque_ripple',), {}))
     assert false['outcome'] == 'all and a false one'
     assert [item['name'] for item in false['false']] == ['cogging']
-    moved = 'log: x_rotate.current against its position: -1.02 ± 0.10 ms late, moved by that'
-    noted = other_score({'encoder_delay': LATE}, notes=[moved], verdict='consistent')
+    late_s = [(-1.02e-3, -1.12e-3, -0.92e-3)]
+    noted = other_score({'encoder_delay': LATE}, late_s=late_s, verdict='consistent')
     assert noted['became'] == {'encoder_delay': 'noted'}
     assert noted['other_errors'][0]['covered']
-    here = moved.replace('moved by that', 'not significant')
-    assert other_score({'encoder_delay': LATE}, notes=[here])['outcome'] == 'none'
+    open_yet = [(-1e-4, -3e-4, 1e-4)]
+    assert other_score({'encoder_delay': LATE}, late_s=open_yet)['outcome'] == 'none'
+    assert other_score({}, ('skew', (), {}))['outcome'] == 'false alarm'
 
 
 def test_a_machine_of_another_simulator_with_nothing_hidden_is_to_be_consistent():

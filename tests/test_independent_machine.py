@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from independent_machine import cases
-from independent_machine.answers import SKEW, answers
+from independent_machine.answers import TIME, answers
 from independent_machine.cases import draw
 from independent_machine.files import MACHINE, MAP, VALIDATION, description, write_case
 from independent_machine.machine import physics_of
@@ -392,7 +392,7 @@ def test_every_answer_is_an_effect_of_the_library_with_these_parameters(describe
         for kind, values in effects.items():
             expected = answers(machine, kind, values, {kind: values})
             for answer in expected.right:
-                if answer.effect in (SKEW, 'command_delay'):
+                if answer.effect in (TIME, 'command_delay'):
                     continue
                 effect = find(answer.effect)
                 assert machine.axis in effect.axes(variant), (kind, answer.effect)

@@ -20,7 +20,8 @@ cannot be told from it in some motions: naming one is neither right nor a false 
     cogging (cosine_N, sine_N at the motor): cogging
     eccentricity (cosine, sine, period): encoder_eccentricity
     motor_eccentricity (cosine, sine, period): motor_encoder_eccentricity; transmission_error
-    encoder_delay (delay_s): encoder_delay, a skew that was found and taken out; motor_encoder_delay
+    encoder_delay (delay_s): encoder_delay, a correction of the drive's time in the log;
+        motor_encoder_delay
     drive_delay (delay_s): the same, and command_delay; motor_encoder_delay
     backlash (gap, rad at the output): backlash; gearbox_compliance, that of the flanks
     compliance (rad/Nm at the output): gearbox_compliance
@@ -42,8 +43,8 @@ from dataclasses import dataclass, field
 
 from independent_machine.machine import Machine
 
-SKEW = 'skew'
-"""Stands for a note that says that drive and position were moved against one another."""
+TIME = 'time of the drive'
+"""Stands for a small correction: the drive's time in the log, which samples leave open."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Ma
     if kind in ('encoder_delay', 'drive_delay'):
         right = (
             Answer('encoder_delay', {'delay': 1e3 * values['delay_s']}),  # in ms
-            Answer(SKEW, {'late_s': -values['delay_s']}),
+            Answer(TIME, {'late_s': -values['delay_s']}),
         )
         if kind == 'drive_delay':
             right += (Answer('command_delay'),)

@@ -200,7 +200,7 @@ def diagnose(
     if not logs:
         raise UserError('give one log at least')
     workers = number_of(workers)
-    records = records_of([*logs, *validation], model)
+    records = records_of([*logs, *validation], model, moved=False)
     details = diagnose_records(
         model.variant,
         records[: len(logs)],

@@ -35,7 +35,7 @@ class Log:
 
     def record(self, model: Model) -> Record:
         """Return the signals as the diagnosis takes them; raises `UserError` for unusable ones."""
-        return load_record(self.path, model.variant)
+        return load_record(self.path, model.variant, moved=False)
 
     def measured(self, model: Model) -> MeasuredLog:
         """Return the signals at the times at which they were measured; raises `UserError`."""
@@ -155,6 +155,10 @@ def import_log(
     return Imported(Log(Path(out)), details)
 
 
-def records_of(logs: Sequence[Log], model: Model) -> list[Record]:
-    """Return the signals of logs; raises `UserError` for one that cannot be used."""
-    return load_records([log.path for log in logs], model.variant)
+def records_of(logs: Sequence[Log], model: Model, moved: bool = True) -> list[Record]:
+    """
+    Return the signals of logs, drives with a plain skew `moved` to where they belong, if that is wanted.
+
+    Raises `UserError` for a log that cannot be used.
+    """
+    return load_records([log.path for log in logs], model.variant, moved)

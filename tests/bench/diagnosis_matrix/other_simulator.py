@@ -4,15 +4,14 @@ Cases of a second simulator, through the commands as a user: import, diagnose, r
 
 Machines, logs and truth are those of `tests/independent_machine`, which shares no code with waferbot. A
 hidden effect is *named* if a reported cause has a name that is right for it, *in the set* if one of
-those is in the credible set of a reported cause, *noted* if it is a skew of position and drive
-that the import of the log took out; else *missed*. A reported cause is *false* if neither its name nor
+those is in the credible set of a reported cause, *noted* if it is a delay within a sample that stands
+in the table of small corrections; else *missed*. A reported cause is *false* if neither its name nor
 one of its set is right for anything that is hidden, nor related to it.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from independent_machine.answers import SKEW, Answers, answers
+from independent_machine.answers import TIME, Answers, answers
 from independent_machine.cases import Case, draw
 from independent_machine.files import ESTIMATION, MACHINE, MAP, VALIDATION, write_case
 
@@ -80,20 +79,11 @@ def read_findings(report: Mapping[str, Any]) -> Findings:
         )
         for cause in report['causes']
     ]
-    for late_s, spread_s in moved_skews(report['notes']):
-        value = {'late_s': (late_s, late_s - spread_s, late_s + spread_s)}
-        causes.append(Named(SKEW, 1.0, (), value))
+    for item in report['corrections']:
+        low, high = item['low'], item['high']
+        if item['path'].startswith('logs.') and low * high > 0.0:
+            causes.append(Named(TIME, 1.0, (), {'late_s': (item['found'], low, high)}))
     return Findings(report['verdict'], tuple(causes), float(report['runtime_s']))
-
-
-def moved_skews(notes: Sequence[str]) -> list[tuple[float, float]]:
-    """Return the skew, s, with two standard errors, that a log was moved by; none or the first."""
-    found = []
-    for note in notes:
-        match = re.search(r'(-?[\d.]+) ± ([\d.]+) ms late, moved by that', note)
-        if match:
-            found.append((1e-3 * float(match[1]), 1e-3 * float(match[2])))
-    return found[:1]
 
 
 def answers_of(case: Case) -> dict[str, Answers]:
@@ -109,7 +99,7 @@ def score(expected: Mapping[str, Answers], findings: Findings) -> dict[str, Any]
     Return what became of every hidden effect, the false names, the intervals, and the outcome.
 
     Outcomes: of nothing hidden `right`, `false alarm`, `unexplained`; else `all`, `some`, `none`, with
-    ` and a false one` where another cause is named too. A skew that was noted is never a false name.
+    ` and a false one` where another cause is named too. A correction is never a false name.
     """
     became, errors = {}, []
     scale_named = all(
@@ -122,7 +112,7 @@ def score(expected: Mapping[str, Answers], findings: Findings) -> dict[str, Any]
             errors += [{'kind': kind, **error} for error in _errors(answer, cause)]
     right = frozenset().union(*(answer.names for answer in expected.values()))
     related = frozenset().union(*(answer.related for answer in expected.values()))
-    causes = [cause for cause in findings.causes if cause.name != SKEW]
+    causes = [cause for cause in findings.causes if cause.name != TIME]
     false = [cause for cause in causes if not cause.names & right and cause.name not in related]
     return {
         'outcome': _outcome(became, false, findings.verdict),
@@ -145,7 +135,7 @@ def score(expected: Mapping[str, Answers], findings: Findings) -> dict[str, Any]
 def _found(answer: Answers, causes: Sequence[Named]) -> tuple[str, Named | None]:
     for cause in causes:
         if cause.name in answer.names:
-            return ('noted' if cause.name == SKEW else 'named'), cause
+            return ('noted' if cause.name == TIME else 'named'), cause
     if any(cause.names & answer.names for cause in causes):
         return 'in the set', None
     return 'missed', None

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.cogging_orders import orders_of
 from waferbot_twin.effects import find, places
@@ -26,6 +27,7 @@ from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals import plant_block
 from waferbot_twin.residuals.from_measured_log import (
     aligned_record,
+    aligned_records,
     record_of_measured_log,
     sized_by,
 )
@@ -196,6 +198,48 @@ def test_a_skew_is_taken_out(random, motor) -> None:
         for one in (record, record_of_measured_log(late, motor))
     ]
     assert residuals[0] < residuals[1]
+
+
+def late_log(random, late_s):
+    """Return the log of a motor whose drive stands late in it, and the one in time."""
+    log = log_of(random, jitter=0.0)
+    force = log[AXIS, 'force']
+    late = replace(force, time_s=force.time_s + late_s)
+    return MeasuredLog('log', (log[AXIS, 'position'], late)), log
+
+
+def test_a_skew_is_left_to_whoever_looks_for_causes(random, motor) -> None:
+    late, _ = late_log(random, 5e-3)
+    (record,) = aligned_records([late], motor, moved=False)
+    assert record.current.tobytes() == record_of_measured_log(late, motor).current.tobytes()
+    assert not any('against its position' in note for note in record.notes)
+    sized, without = (
+        sized_by([one], motor) for one in (record, replace(record, skew_spread_s=(0.0,) * 3))
+    )
+    # What a drive does between two samples stays open, and that alone.
+    assert record.skew_spread_s[AXES.index(AXIS)] == pytest.approx(2e-3 / math.sqrt(12.0))
+    effect = find('skew')
+    assert effect.axes(sized) == (AXIS,)
+    assert effect.axes(without) == effect.axes(motor) == ()
+
+
+@pytest.mark.parametrize('late_ms', [2.0, 7.7])
+def test_an_effect_moves_the_drive_to_where_it_belongs(random, motor, late_ms) -> None:
+    late, in_time = late_log(random, 1e-3 * late_ms)
+    own, moved = (record_of_measured_log(log, motor) for log in (in_time, late))
+    sized = replace(motor, brought_in=frozenset({AXIS}))
+    skewed = find('skew').apply(sized, AXIS, {'late': late_ms})
+
+    def left_over(record, variant):
+        # A slow observer shows a force that comes late as many counts.
+        (found,) = PlantBlock(record, variant, observer_hz=10.0).residuals(variant)
+        return float(np.std(found))
+
+    assert left_over(moved, skewed) == pytest.approx(left_over(own, motor), rel=0.05)
+    assert left_over(moved, motor) > 2.0 * left_over(own, motor)
+    assert skewed.machine == sized.machine
+    with_more = find('skew').apply(skewed, AXIS, {'late': 1.0})
+    assert with_more.skew_s[AXIS] == pytest.approx(1e-3 * (late_ms + 1.0))
 
 
 def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:

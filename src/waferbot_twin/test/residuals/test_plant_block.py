@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
@@ -15,6 +17,7 @@ from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
+from waferbot_twin.residuals import plant_block
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
@@ -29,6 +32,34 @@ def record_of(variant, experiment, duration_s):
         load_experiment(experiment), twin.servo_parameters, timing.servo_hz
     )
     return record_of_signals('log', twin.advance(timing.ticks(duration_s)))
+
+
+@given(
+    late=st.tuples(*[st.floats(-20.0, 20.0)] * 3),
+    seed=st.integers(0, 2**32 - 1),
+)
+@settings(derandomize=True, deadline=None)
+def test_a_moved_current_has_the_means_of_later_ticks(late, seed):
+    """The integral over a tick that begins later, of a current that is held for each tick."""
+    current = np.random.default_rng(seed).standard_normal((60, 3))
+    edges = np.arange(61.0)
+    found = plant_block._moved(current, np.array(late))
+    for place, ticks in enumerate(late):
+        total = np.concatenate([[0.0], np.cumsum(current[:, place])])
+        begin = np.interp(edges[:-1] + ticks, edges, total)
+        end = np.interp(edges[1:] + ticks, edges, total)
+        inside = (edges[:-1] + ticks >= 0.0) & (edges[1:] + ticks <= 60.0)
+        np.testing.assert_allclose(found[inside, place], (end - begin)[inside], atol=1e-9)
+        outside = current[0, place] if ticks < 0.0 else current[-1, place]
+        np.testing.assert_allclose(found[edges[:-1] + ticks >= 60.0, place], outside)
+        np.testing.assert_allclose(found[edges[1:] + ticks <= 0.0, place], outside)
+
+
+def test_a_moved_current_is_known_where_it_was():
+    current = np.ones((60, 3))
+    current[20:30, 1] = np.nan
+    moved = plant_block._moved(current, np.array([0.0, 4.5, 0.0]))
+    assert np.isfinite(moved[np.isfinite(current)]).all()
 
 
 @pytest.mark.slow

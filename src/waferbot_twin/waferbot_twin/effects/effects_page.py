@@ -45,8 +45,10 @@ def table() -> str:
     """Return the library as tables in Markdown, one for each block."""
     example = yaml.safe_load(whole_text(find_description(EXAMPLE)))
     variants = [Variant.of(load_model(name)) for name in MODELS]
-    told_alone = frozenset(example['motors'])
-    variants.append(Variant(EXAMPLE, example, 'improved', {}, {}, told_alone=told_alone))
+    axes = frozenset(example['motors'])
+    variants.append(
+        Variant(EXAMPLE, example, 'improved', {}, {}, told_alone=axes, brought_in=axes)
+    )
     blocks: dict[str, list[str]] = {}
     for effect in library().values():
         blocks.setdefault(effect.block.value, []).append(_row(effect, variants))

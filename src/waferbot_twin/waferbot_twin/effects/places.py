@@ -68,6 +68,11 @@ def lagging_axes(variant: Variant) -> tuple[str, ...]:
     )
 
 
+def skewed_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes whose drive may stand in the logs at another time than their position."""
+    return tuple(axis for axis in motor_axes(variant) if axis in variant.base.brought_in)
+
+
 def controlled_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes whose controller is known."""
     return tuple(axis for axis in motor_axes(variant) if variant.pmac.get(axis))

@@ -67,6 +67,8 @@ class Variant:
     """Axes whose logs have the force and no current: what a motor makes of one is not in them."""
     told_alone: frozenset[str] = frozenset()
     """Axes whose logs have what the drive is told or reckons, and no measured current."""
+    brought_in: frozenset[str] = frozenset()
+    """Axes whose logs were brought in: drive and position may have times of their own there."""
     deviations: Mapping[str, float] = field(default_factory=dict)
     """Parameters that are off, each in the standard deviations that it usually has (`Overlay`)."""
     skew_s: Mapping[str, float] = field(default_factory=dict)

@@ -367,13 +367,17 @@ def aligned_record(log: MeasuredLog, variant: Variant) -> Record:
     return record
 
 
-def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Record]:
+def aligned_records(
+    logs: Sequence[MeasuredLog], variant: Variant, moved: bool = True
+) -> list[Record]:
     """
     Return the records of measured logs, their channels aligned as far as they tell how.
 
     How late the drive of an axis stands is found from all logs with that kind of drive together: it
     is the logger's, not the motion's. Notes say what skew was found and taken out, what clock the
-    commands run by, and what the rate of a log limits. Raises as `record_of_measured_log`.
+    commands run by, and what the rate of a log limits. Where drives are not `moved`, a skew is left to
+    whoever looks for causes: what a model lacks may look like one, and one like what a model lacks.
+    Raises as `record_of_measured_log`.
     """
     short = [with_short_pauses_of(log, variant) for log in logs]
     logs = [log for log, _ in short]
@@ -391,7 +395,8 @@ def aligned_records(logs: Sequence[MeasuredLog], variant: Variant) -> list[Recor
         for (axis, kind), those in pairs.items()
     }
     records = [
-        _aligned(log, axes, variant, alignments) for log, axes in zip(logs, axes_of, strict=True)
+        _aligned(log, axes, variant, alignments, moved)
+        for log, axes in zip(logs, axes_of, strict=True)
     ]
     return [
         replace(record, notes=(f'{record.name}: {clock}', *record.notes)) if str(clock) else record
@@ -441,6 +446,7 @@ def _aligned(
     axes: Sequence[str],
     variant: Variant,
     alignments: Mapping[tuple[str, str], _Alignment],
+    moved: bool,
 ) -> Record:
     """Return the record of a log whose alignments, by axis and kind of drive, are known."""
     late_s, notes, without = {}, [], []
@@ -457,20 +463,22 @@ def _aligned(
                 f'{pair}: early by half a sample, as a drive that holds its output: taken as held '
                 '(hold: linear in the mapping, if not)'
             )
-        if found is None:
+        if moved and found is None:
             notes.append(f'{pair}: this motion does not show which of them is late')
-        elif found.significant:
-            late_s[axis] = found.late_s
-            notes.append(f'{pair}: {found} late, moved by that')
+        if moved and found is not None:
+            notes.append(
+                f'{pair}: {found} late, {"moved by that" if found.significant else "not significant"}'
+            )
+        if found is not None and found.significant:
+            if moved:
+                late_s[axis] = found.late_s
             if drive.hold != log[axis, drive.kind].hold and _half_a_sample(drive, found.late_s):
                 notes.append(
                     f'{pair}: taken as held, as the output of the described controller; straight '
                     'between samples it would be half a sample less late (hold: linear in the mapping, '
                     'if it is so)'
                 )
-        else:
-            notes.append(f'{pair}: {found} late, not significant')
-        spread_s[AXES.index(axis)] = _spread_s(drive, found)
+        spread_s[AXES.index(axis)] = _spread_s(drive, found if moved else None)
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
@@ -495,7 +503,7 @@ def _spread_s(drive: Signal, found: Skew | None) -> float:
     Return the standard deviation of what is not known of a drive's time against its position, s.
 
     What a drive does between two of its samples is not in a log: it may be as late as half a step either
-    way, any time as probable as another. That of the skew that was found is beside it.
+    way, any time as probable as another. That of a skew that was taken out is beside it.
     """
     error_s = found.standard_error_s if found is not None else 0.0
     return math.hypot(error_s, 1.0 / (math.sqrt(12.0) * drive.rate_hz))
@@ -602,6 +610,12 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
         unlimited = math.isinf(places.described_limit(variant, axis))
         if len(known) and not variant.copley.get(axis) and unlimited:
             usual[axis] = float(np.sqrt(np.mean(np.square(known))))
+    brought_in = {
+        axis
+        for record in records
+        for axis, spread in zip(AXES, record.skew_spread_s, strict=True)
+        if spread > 0.0
+    }
     by_force, told_alone = (
         frozenset(variant.description.motors).intersection(*axes)
         for axes in (
@@ -614,6 +628,7 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
         usual_current={axis: value for axis, value in usual.items() if value},
         force_driven=by_force,
         told_alone=told_alone,
+        brought_in=frozenset(brought_in),
     )
 
 

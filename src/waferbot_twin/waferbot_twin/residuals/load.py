@@ -17,12 +17,12 @@ from waferbot_twin.residuals.from_recording import record_of
 from waferbot_twin.residuals.record import Record
 
 
-def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
+def load_records(paths: Sequence[Path], nominal: Variant, moved: bool = True) -> list[Record]:
     """
     Return the records of logs, in their order.
 
     Imported logs are aligned in time all together: how late a channel stands is the logger's, not the
-    motion's. Raises `UserError` for a log that cannot be used.
+    motion's; `moved` as in `aligned_records`. Raises `UserError` for a log that cannot be used.
     """
     found: dict[int, Record] = {}
     imported: dict[int, MeasuredLog] = {}
@@ -39,11 +39,12 @@ def load_records(paths: Sequence[Path], nominal: Variant) -> list[Record]:
         else:
             imported[place] = load_log(path, machine=nominal.machine_text, name=path.name)
     if imported:
-        found |= zip(imported, aligned_records(list(imported.values()), nominal), strict=True)
+        aligned = aligned_records(list(imported.values()), nominal, moved)
+        found |= zip(imported, aligned, strict=True)
     return [found[place] for place in range(len(paths))]
 
 
-def load_record(path: Path, nominal: Variant) -> Record:
+def load_record(path: Path, nominal: Variant, moved: bool = True) -> Record:
     """Return the record of one log; raises as `load_records`."""
-    (record,) = load_records([path], nominal)
+    (record,) = load_records([path], nominal, moved)
     return record

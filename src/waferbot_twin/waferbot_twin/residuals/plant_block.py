@@ -289,7 +289,7 @@ class PlantBlock:
             *gains,
             self._usual_rows,
             record.reading,
-            self._late_s(variant),
+            np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
             self._ends,
             standing,
             np.zeros(9),
@@ -305,21 +305,21 @@ class PlantBlock:
         ]
 
     def _acting_current(self, variant: Variant) -> Array:
-        """Return the current (n, 3) that makes force, A; (0, 3) where line currents are known."""
+        """
+        Return the current (n, 3) that makes force, A; (0, 3) where line currents are known.
+
+        That of a skewed axis is what stands in the log so much later.
+        """
         if self.record.current is None:
             return np.zeros((0, motors.MOTORS))
+        current = self.record.current
+        if any(variant.skew_s.values()):
+            late_s = np.array([variant.skew_s.get(axis, 0.0) for axis in AXES])
+            current = _moved(current, late_s / self.record.timing.tick_s)
         lags = places.drive_lags(variant)
         if not lags.any():
-            return self.record.current
-        return np.asarray(motors.lagged(self.record.current, lags, self.record.timing.tick_s))
-
-    def _late_s(self, variant: Variant) -> Array:
-        """Return how much after its tick each reading was taken, s, with a skew that a variant has."""
-        late_s = self.record.late_s
-        if any(variant.skew_s.values()):
-            own = np.array([variant.skew_s.get(AXIS_OF[name], 0.0) for name in ENCODERS])
-            return own + (np.zeros_like(self.record.reading) if late_s is None else late_s)
-        return np.zeros((0, len(ENCODERS))) if late_s is None else late_s
+            return current
+        return np.asarray(motors.lagged(current, lags, self.record.timing.tick_s))
 
     def _gains(
         self,
@@ -421,6 +421,24 @@ def _joint(p: np.void, one: int, other: int) -> int:
         if one != other and ends == {one, other}:
             return spring
     return -1
+
+
+def _moved(current: Array, late: Array) -> Array:
+    """
+    Return the means of currents (n, 3) over ticks that begin `late` (3,) ticks later, any fraction.
+
+    A current goes on as it is at the ends of a log and in gaps.
+    """
+    moved = current.copy()
+    for place, ticks in enumerate(late.tolist()):
+        if ticks == 0.0:
+            continue
+        whole = math.floor(ticks)
+        rows = np.clip(np.arange(len(current) + 1) + whole, 0, len(current) - 1)
+        own = current[rows, place]
+        shifted = own[:-1] + (ticks - whole) * np.diff(own)
+        moved[:, place] = np.where(np.isfinite(shifted), shifted, current[:, place])
+    return moved
 
 
 @compiled

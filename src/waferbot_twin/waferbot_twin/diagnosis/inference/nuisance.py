@@ -211,7 +211,7 @@ def _dense(known: Sequence[Number]) -> Effect:
         for item in known:
             value = values[item.path]
             if item.section == LOGS:
-                skew_s[item.name] = value
+                skew_s[item.name] = variant.skew_s.get(item.name, 0.0) + value
                 continue
             entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
             entry[item.key] = _scaled(variant, item, 1.0 + value)
@@ -263,8 +263,9 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def _entries(variant: Variant) -> set[tuple[str, str]]:
-    """Return every entry of a description by its path, and what stands there."""
-    return {
+    """Return every entry of a description by its path, and what stands there; skews of logs, too."""
+    skews = {(f'{LOGS}.{axis}.skew_s', repr(late_s)) for axis, late_s in variant.skew_s.items()}
+    return skews | {
         (f'{section}.{name}.{key}', repr(value))
         for section, names in variant.machine.items()
         if isinstance(names, Mapping)
