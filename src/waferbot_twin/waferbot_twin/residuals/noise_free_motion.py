@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,11 +107,11 @@ def _without_gaps(counts: Array) -> Array:
 
 
 def motions(
-    problem: Problem, ideal: Problem, axes: Collection[str]
+    problem: Problem, noise_free: Sequence[Record], axes: Collection[str]
 ) -> dict[tuple[int, str], Motion]:
     """Return what axes do in the logs without noise, by the identity of the measured record and axis."""
     return {
-        (id(measured), axis): motion(problem.nominal, noise_free, axis)
-        for measured, noise_free in zip(problem.records, ideal.records, strict=True)
+        (id(measured), axis): motion(problem.nominal, record, axis)
+        for measured, record in zip(problem.records, noise_free, strict=True)
         for axis in sorted(axes)
     }

@@ -20,10 +20,15 @@ compared have the same. Where several readings make a sample of the residual, th
 plant when the sample ends: a sample is what was predicted from those before it, whatever an observer
 follows.
 
-A reading that is late is compared with where the plant was by then, as corrected since: without the
-latter the observer, and with it the spread of e, would depend on the delay. One that was taken between
-two rows is compared with the parabola through the three nearest, straight beyond these; if it is
-published at once, with the line along the speed.
+A reading that is late by T is compared with where the plant was by then, as corrected since. What
+corrected the speed then has moved the plant since, and all of its path between,
+
+    x += (l1 + l2 T) e / c,        x(s) by (l1 + l2 (s - t + T)) e / c,      t - T <= s <= t.
+
+So a late encoder and a log that is as late leave the same over, whatever noise there is: else the
+observer, and with it the spread of e, would depend on the delay. A reading that was taken between two
+rows is compared with the parabola through the three nearest, straight beyond these; if it is published
+at once, with the line along the speed.
 
 What moves together as long as nothing gives is corrected together, a carriage with its counterweight,
 an axis with its motor, by the finest of its encoders: the steps of a coarse one would push a machine
@@ -512,6 +517,11 @@ def _drive(
     gains_for = np.zeros(reading.shape[1])
     gains = np.zeros((2, reading.shape[1]))
     corrected = np.zeros(reading.shape[1])
+    turned = np.zeros(reading.shape[1])
+    lever = np.zeros(reading.shape[1])
+    turned_by = np.zeros((LONGEST_DELAY, reading.shape[1]))
+    lever_by = np.zeros((LONGEST_DELAY, reading.shape[1]))
+    row_s = divider * p['step'] * p['substeps']
     left = np.zeros(reading.shape[1])
     summed = np.zeros(reading.shape[1])
     count = np.zeros(reading.shape[1])
@@ -543,14 +553,19 @@ def _drive(
                 coordinate = p['encoder_coordinate'][encoder]
                 now = encoders.seen_counts(s, p, encoder)
                 seen[row % LONGEST_DELAY, encoder] = now - corrected[encoder]
+                turned_by[row % LONGEST_DELAY, encoder] = turned[encoder]
+                lever_by[row % LONGEST_DELAY, encoder] = lever[encoder]
                 late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
+                delay_s = row_s * (p['encoder_delay'][encoder] + p['delay_fraction'][encoder])
+                then_s = row * row_s - delay_s
                 predicted = seen[late, encoder] + corrected[encoder]
+                predicted += then_s * (turned[encoder] - turned_by[late, encoder])
+                predicted -= lever[encoder] - lever_by[late, encoder]
                 half_step = half_count * max(p['coarseness'][encoder], 1.0)
                 error = reading[row, encoder] + half_step - predicted
                 if error != error:
                     continue
                 if late_s.shape[0]:
-                    row_s = divider * p['step'] * p['substeps']
                     if p['encoder_delay'][encoder] > 0:
                         after = seen[(late + 1) % LONGEST_DELAY, encoder] - seen[late, encoder]
                         before = seen[late, encoder] - seen[late - 1, encoder]
@@ -579,15 +594,21 @@ def _drive(
                 spring, before = behind[encoder]
                 if gain_position.shape[0] and spring < 0 and passed == usual_rows[encoder]:
                     left[encoder] = (1.0 - gain_position[encoder, coordinate]) * error
+                    # Rings have turned since, nobody knows how often: they are corrected as they are.
+                    turn = gain_velocity[encoder, coordinate] * error
                     for other in range(together.shape[1]):
-                        s['position'][other] += gain_position[encoder, other] * error
+                        own = gain_position[encoder, other] * error
+                        s['position'][other] += own + delay_s * together[encoder, other] * turn
                         s['velocity'][other] += gain_velocity[encoder, other] * error
                     for other in range(reading.shape[1]):
                         other_coordinate = p['encoder_coordinate'][other]
-                        moved = gain_position[encoder, other_coordinate] * error
-                        moved *= p['counts_per_unit'][other]
+                        other_per_unit = p['counts_per_unit'][other]
+                        moved = gain_position[encoder, other_coordinate] * error * other_per_unit
+                        rate = together[encoder, other_coordinate] * turn * other_per_unit
                         corrected[other] += moved
-                        s['position_before'][other] += moved
+                        turned[other] += rate
+                        lever[other] += rate * then_s
+                        s['position_before'][other] += moved + delay_s * rate
                     continue
                 left[encoder] = (1.0 - gains[0, encoder]) * error
                 if spring >= 0:
@@ -598,14 +619,20 @@ def _drive(
                     error /= 1.0 + stiff**power
                 for other in range(together.shape[1]):
                     share = together[encoder, other] * error
-                    s['position'][other] += gains[0, encoder] * share
+                    s['position'][other] += (
+                        gains[0, encoder] + delay_s * gains[1, encoder]
+                    ) * share
                     s['velocity'][other] += gains[1, encoder] * share
                 for other in range(reading.shape[1]):
                     other_coordinate = p['encoder_coordinate'][other]
-                    share = together[encoder, other_coordinate] * error
-                    moved = gains[0, encoder] * share * p['counts_per_unit'][other]
+                    share = (
+                        together[encoder, other_coordinate] * error * p['counts_per_unit'][other]
+                    )
+                    moved, rate = gains[0, encoder] * share, gains[1, encoder] * share
                     corrected[other] += moved
-                    s['position_before'][other] += moved
+                    turned[other] += rate
+                    lever[other] += rate * then_s
+                    s['position_before'][other] += moved + delay_s * rate
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
         for motor in range(motors.MOTORS):

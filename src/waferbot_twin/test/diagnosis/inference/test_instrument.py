@@ -3,13 +3,19 @@
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
 import pytest
 
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
-from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.instrument import (
+    instrumented_gain,
+    log_odds_beside_noise,
+    noise_free_logs,
+)
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
@@ -22,7 +28,6 @@ from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.synthesis import noise
 
 SEED = 5
-LEVEL = Settings().endogeneity_level
 
 
 def gained(mismatch):
@@ -43,7 +48,7 @@ def gained(mismatch):
     base = evaluate(problem, (known,))
     begun = lines.with_values({'line_1': 0.0, 'line_2': 0.0})
     more = fit_causes(problem, (known, begun))
-    return gain(more, base), instrumented_gain(problem, base, more, LEVEL)
+    return gain(more, base), instrumented_gain(problem, base, more, noise_free_logs(problem, more))
 
 
 @pytest.mark.parametrize('mismatch', [0.0, 0.01])
@@ -56,9 +61,8 @@ def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
     plain, by_command = gained(mismatch)
     assert plain > 10.0
     if mismatch:
-        assert by_command is None or by_command > 20.0
+        assert by_command > 20.0
     else:
-        assert by_command is not None
         assert by_command < 3.0
 
 
@@ -68,4 +72,17 @@ def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
 )
 def test_half_of_what_a_true_percent_gains_is_left_by_the_command():
     plain, by_command = gained(0.01)
-    assert by_command is None or by_command > 0.5 * plain
+    assert by_command > 0.5 * plain
+
+
+def test_the_odds_are_those_of_all_four_cases():
+    """There or not, feigned or not, each weighed by hand."""
+    prior = math.log(0.02)
+    share = 0.02 / 1.02
+    for by_logs, by_command in itertools.product((-3.0, 2.0, 40.0), (-6.0, 1.0, 30.0)):
+        feigns = math.exp(by_logs - by_command)
+        there = (1.0 - share) * math.exp(by_logs) + share * math.exp(by_command) * feigns
+        not_there = (1.0 - share) + share * feigns
+        found = log_odds_beside_noise(by_logs, by_command, prior)
+        assert found == pytest.approx(math.log(there / not_there), abs=1e-9)
+    assert log_odds_beside_noise(math.inf, 5.0, prior) == pytest.approx(5.0 - math.log(share))

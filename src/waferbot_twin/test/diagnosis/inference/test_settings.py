@@ -15,7 +15,7 @@ from waferbot_twin.diagnosis.inference.settings import Settings
         ({'named_from': 0.0}, 'named_from'),
         ({'named_from': 1.0}, 'named_from'),
         ({'credible_level': 1.5}, 'credible_level'),
-        ({'endogeneity_level': 0.0}, 'endogeneity_level'),
+        ({'refutation_level': 0.0}, 'refutation_level'),
         ({'expected_causes': 0.0}, 'expected_causes'),
         ({'prior_scales': (0.1, -1.0)}, 'prior_scales'),
         ({'most_causes': 0}, 'most_causes'),

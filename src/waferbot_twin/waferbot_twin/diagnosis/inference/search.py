@@ -23,7 +23,11 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
-from waferbot_twin.diagnosis.inference.instrument import instrumented_gain
+from waferbot_twin.diagnosis.inference.instrument import (
+    instrumented_gain,
+    log_odds_beside_noise,
+    noise_free_logs,
+)
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
     begun_elsewhere,
@@ -357,42 +361,56 @@ def _instrumented(
     """
     Return which cause the closed loop's noise has made most plainly, if any; and effects as judged now.
 
-    Hausman's test presumes that nothing else lacks: what another cause leaves over goes with the
-    command, too. So it is asked last, when no further cause is found; of the model without the cause as
-    the linear problem has it, and where that speaks against the logs, as it is fitted. Where this does,
-    too, the instrument's odds are those of the effect.
+    What another cause leaves over goes with the command, too. So it is asked last, when no further cause
+    is found; of the model without the cause as the linear problem has it, and where that would take the
+    name away, as it is fitted.
     """
     problem, settings = pool.problem, pool.settings
     judged: list[SingleEffect] = []
     worst, feigned = log_odds_at(settings.included_from), None
     try:
-        ideal = problem.ideal(found.causes) if effects else None
+        noise_free = noise_free_logs(problem, found) if effects else None
     except UserError:
-        ideal = None
-    for effect in effects if ideal is not None else ():
-        cause = effect.best.cause
-        more = with_last(problem, found, cause.name)
-        gained = None
+        noise_free = None
+    if noise_free is None:
+        return None, list(effects)
+    for effect in effects:
+        more = with_last(problem, found, effect.best.cause.name)
+        odds = effect.log_odds
         for refitted in (False, True):
-            try:
-                if refitted:
-                    base = without(problem, found, [cause.name], pool.workers)
-                else:
-                    base = without_by_linear(problem, found, cause.name)
-            except UserError:
-                continue
-            gained = instrumented_gain(problem, base, more, settings.endogeneity_level, ideal)
-            if gained is None:
+            beside = _beside_noise(pool, more, effect.log_odds, noise_free, refitted)
+            odds = effect.log_odds if beside is None else beside
+            if beside is not None and odds > log_odds_at(settings.named_from):
                 break
-        if gained is None:
-            judged.append(effect)
-            continue
-        evidence = log_evidence(problem, more, base, settings.prior_scales, gained)
-        odds = evidence + pool.log_prior(more.causes[-1])
-        judged.append(with_odds(effect, odds))
+        judged.append(effect if odds == effect.log_odds else with_odds(effect, odds))
         if odds < worst:
-            worst, feigned = odds, cause.name
-    return feigned, judged if ideal is not None else list(effects)
+            worst, feigned = odds, effect.best.cause.name
+    return feigned, judged
+
+
+def _beside_noise(
+    pool: CandidatePool, more: Hypothesis, by_logs: float, noise_free: Problem, refitted: bool
+) -> float | None:
+    """
+    Return ln of the odds of the last cause of `more` beside what noise may feign; None if none is known.
+
+    Of the model without it as it is fitted, or as the linear problem has it.
+    """
+    problem, settings = pool.problem, pool.settings
+    name = more.causes[-1].name
+    try:
+        if refitted:
+            base = without(problem, more, [name], pool.workers)
+        else:
+            base = without_by_linear(problem, more, name)
+    except UserError:
+        return None
+    gained = instrumented_gain(problem, base, more, noise_free)
+    if gained is None:
+        return None
+    prior = pool.log_prior(more.causes[-1])
+    evidence = log_evidence(problem, more, base, settings.prior_scales, gained)
+    return log_odds_beside_noise(by_logs, evidence + prior, prior)
 
 
 def _ask_again(

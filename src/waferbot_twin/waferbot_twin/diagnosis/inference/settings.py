@@ -35,9 +35,6 @@ class Settings:
     most_causes        how many causes are looked for at most
     most_refits        how many candidates are refitted through the simulation in each step
     most_asked         how often the posterior of an effect is asked for at most
-    endogeneity_level  level of Hausman's test: below this probability the signature in the logs and
-                       the one that the command causes disagree, and the latter counts
-
     refutation_level   likelihood ratio, with a cause over without, below which the validation data
                        refute it: at most the probability that they refute a true one
     tolerated_loss     rise of the mean square error in closed loop (1 % in RMS) up to which an
@@ -58,7 +55,6 @@ class Settings:
     most_causes: int = 30
     most_refits: int = 8
     most_asked: int = 24
-    endogeneity_level: float = 1e-3
     refutation_level: float = 1e-3
     tolerated_loss: float = 0.02
 
@@ -68,7 +64,6 @@ class Settings:
             'included_from',
             'named_from',
             'credible_level',
-            'endogeneity_level',
             'refutation_level',
             'spread_of_masses',
             'spread_of_force_constants',

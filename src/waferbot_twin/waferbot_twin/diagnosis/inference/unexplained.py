@@ -8,8 +8,9 @@ Three kinds of evidence, one for each kind of block:
   as one of the effects of the posterior;
 - in a block that follows from its inputs to the last bit, anything at all that is left over;
 - in every other channel, a residual that depends on what the command makes the machine do. The
-  columns of the noise-free motion (position, speed, direction, acceleration, currents) are fitted to
-  the white residual by least squares, with the Bayes factor of Schwarz' approximation,
+  columns of the noise-free motion (position, speed, direction, acceleration, currents; where the loop
+  cannot be closed what commands explain of the log, `commanded_record`) are fitted to the white residual
+  by least squares, with the Bayes factor of Schwarz' approximation,
 
       ln BF = G - k / 2 ln N,                                                                       (1)
 
@@ -35,6 +36,7 @@ from waferbot_twin.effects.places import motor_axes
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
+from waferbot_twin.residuals.commanded_record import as_commanded
 from waferbot_twin.residuals.noise_free_motion import Motion, motions
 from waferbot_twin.residuals.problem import PLANT, Channel, Problem
 from waferbot_twin.residuals.record import Array
@@ -86,8 +88,9 @@ def _left(problem: Problem, posterior: Posterior, block: str, axis: str) -> floa
 def _with_command(problem: Problem, posterior: Posterior, settings: Settings) -> list[Unexplained]:
     found = posterior.found
     try:
-        ideal = problem.ideal(found.causes) or problem
-        moving = motions(problem, ideal, motor_axes(problem.nominal))
+        ideal = problem.ideal(found.causes)
+        noise_free = ideal.records if ideal else [as_commanded(one) for one in problem.records]
+        moving = motions(problem, noise_free, motor_axes(problem.nominal))
     except UserError:
         return []
     asked: dict[tuple[str, str], list[tuple[Channel, int]]] = {}
