@@ -9,11 +9,12 @@ somewhere anyhow. Two encoders of one axis with steps q and Q, both rounded down
 that is no play and no eccentricity.
 
 Which of the first two it is, the two tell themselves if their zeros agree: by the mean of what they
-differ.
+differ, as far as that is known (batch means: readings at rest all have the same error).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +29,9 @@ NEAR = 0.2
 
 FEWEST_READINGS = 200
 """Readings that two encoders must have in common to be compared."""
+
+BLOCKS, SIGNIFICANT = 12, 4.0
+"""Blocks of readings that tell the standard error of their mean, and how many of those are plain."""
 
 
 def counted(signal: Signal, counting: str, up: bool, findings: list[Finding]) -> Signal:
@@ -60,9 +64,13 @@ def told_by_both(position: Signal, motor: Signal, ratio: float, up: tuple[bool, 
         return ''
     low = steps * np.where(up, 0.5, -0.5) * np.array([1.0, np.sign(ratio)])
     expected = float(low[0] - low[1])
-    if abs(expected) < NEAR * float(steps.max()):
+    apart = other[known] / ratio - position.value[known]
+    means = np.array([block.mean() for block in np.array_split(apart, BLOCKS)])
+    error = float(means.std(ddof=1)) / math.sqrt(BLOCKS)
+    if abs(expected) < SIGNIFICANT * error or expected == 0.0:
         return ''
-    differs = float(np.mean(other[known] / ratio - position.value[known]))
-    if abs(differs - expected) < NEAR * abs(expected):
+    differs = float(apart.mean())
+    misses = max(NEAR * abs(expected), 0.5 * SIGNIFICANT * error)
+    if abs(differs - expected) < misses:
         return FLOOR
-    return ROUND if abs(differs) < NEAR * abs(expected) else ''
+    return ROUND if abs(differs) < misses else ''
