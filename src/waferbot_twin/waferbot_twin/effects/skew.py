@@ -41,6 +41,6 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='F(t) = F_logged(t + late)',
-    title='skew of drive and position in the log',
+    title='skew of drive and position',
     usual=True,
 )
