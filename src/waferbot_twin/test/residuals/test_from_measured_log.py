@@ -251,6 +251,19 @@ def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:
     )
 
 
+@pytest.mark.parametrize('step_s', [5e-4, 2e-3, 2e-2])
+def test_a_brisk_speed_is_the_largest_in_the_logs(random, motor, step_s) -> None:
+    """Not what the force of the logs would reach: an axis may be fast with little of it."""
+    log = log_of(random, step_s=step_s, jitter=0.0)
+    sized = sized_by([record_of_measured_log(log, motor)], motor)
+    time_s, angle = log[AXIS, 'position'].time_s, log[AXIS, 'position'].value
+    fastest = float(np.max(np.abs(np.gradient(angle, time_s))))
+    assert places.rated_speed(sized, AXIS) == pytest.approx(fastest, rel=0.1)
+    assert places.rated_speed(motor, AXIS) != places.rated_speed(sized, AXIS)
+    (_, speed) = find('stribeck_friction').parameters(sized, AXIS)
+    assert speed.high > 0.1 * fastest
+
+
 def test_where_a_described_controller_has_a_limit_effects_are_sized_by_that(random, motor) -> None:
     controller = {
         'kind': 'p', 'rate_hz': 1000, 'output': 'A', 'proportional_gain_per_rad': 4.0,

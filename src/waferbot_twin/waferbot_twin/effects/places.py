@@ -331,7 +331,13 @@ def rated_motor_force(variant: Variant, axis: str) -> float:
 
 
 def rated_speed(variant: Variant, axis: str) -> float:
-    """Return a brisk speed of the axis, m/s or rad/s: what rated force reaches in 50 ms."""
+    """
+    Return a brisk speed of the axis, m/s or rad/s: what rated force reaches in 50 ms.
+
+    In logs that were brought in, the largest that it has there.
+    """
+    if axis in variant.base.usual_speed:
+        return variant.base.usual_speed[axis]
     return 0.05 * rated_force(variant, axis) / joined_inertia(variant, axis)
 
 

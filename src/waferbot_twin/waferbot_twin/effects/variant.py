@@ -63,6 +63,8 @@ class Variant:
     origin: Variant | None = field(default=None, repr=False, compare=False)
     usual_current: Mapping[str, float] = field(default_factory=dict)
     """RMS current (A) of each axis in logs, where nothing is known of an amplifier."""
+    usual_speed: Mapping[str, float] = field(default_factory=dict)
+    """Largest speed (m/s or rad/s) of each axis in logs that were brought in."""
     force_driven: frozenset[str] = frozenset()
     """Axes whose logs have the force and no current: what a motor makes of one is not in them."""
     told_alone: frozenset[str] = frozenset()

@@ -85,6 +85,9 @@ BRIDGED_S = 0.05
 LEAST_CHANGES, IN_STEP = 16, 0.7
 """Changes of a command, and how far they agree (0 to 1), that tell when a controller acts."""
 
+SPEED_OVER_S = 0.02
+"""Over which a speed is taken: steps of a coarse encoder are none."""
+
 NEAR_HALF = 0.2
 """Share of a sample by which a skew may miss half a sample and still be that of another hold."""
 
@@ -600,11 +603,13 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
 
     Effects are sized by what a drive can do (`places.rated_force`); where nobody says what that is,
     what it did has to tell. Where all logs have a force, nothing shows what windings do; where none has
-    a measured current, nothing shows how fast a drive is.
+    a measured current, nothing shows how fast a drive is. How fast the axes of imported logs are, these
+    show themselves.
     """
-    usual = {}
+    usual, fastest = {}, {}
     for axis in places.motor_axes(variant):
         place = AXES.index(axis)
+        fastest[axis] = max((_largest_speed(one, variant, axis) for one in records), default=0.0)
         parts = [record.current[:, place] for record in records if record.current is not None]
         known = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else ()
         unlimited = math.isinf(places.described_limit(variant, axis))
@@ -626,10 +631,29 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     return replace(
         variant,
         usual_current={axis: value for axis, value in usual.items() if value},
+        usual_speed={axis: value for axis, value in fastest.items() if value},
         force_driven=by_force,
         told_alone=told_alone,
         brought_in=frozenset(brought_in),
     )
+
+
+def _largest_speed(record: Record, variant: Variant, axis: str) -> float:
+    """Return the largest speed of an axis in an imported log, m/s or rad/s; 0 in others."""
+    encoder = places.position_encoder(variant, axis)
+    if not record.is_imported or encoder not in ENCODERS:
+        return 0.0
+    reading = record.reading[:, ENCODERS.index(encoder)]
+    rows = np.flatnonzero(np.isfinite(reading))
+    if len(rows) < 2:
+        return 0.0
+    rate_hz = record.timing.encoder_hz
+    apart = max(1, round(SPEED_OVER_S * rate_hz / float(np.median(np.diff(rows)))))
+    if len(rows) <= apart:
+        return 0.0
+    way = np.abs(reading[rows[apart:]] - reading[rows[:-apart]])
+    speed = float(np.max(way * rate_hz / (rows[apart:] - rows[:-apart])))
+    return speed / abs(places.axis_counts(variant, axis))
 
 
 def _positions(log: MeasuredLog, variant: Variant, axis: str) -> list[tuple[Signal, int]]:
