@@ -38,8 +38,12 @@ from waferbot_twin.diagnosis.inference.parameter_constancy import as_sure_as_con
 from waferbot_twin.diagnosis.inference.prediction import Prediction
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
-from waferbot_twin.diagnosis.inference.unexplained import Unexplained, unexplained
+from waferbot_twin.diagnosis.inference.single_effects import Follows, Posterior, SingleEffect
+from waferbot_twin.diagnosis.inference.unexplained import (
+    Unexplained,
+    follows_command,
+    unexplained,
+)
 from waferbot_twin.diagnosis.known_before import with_known
 from waferbot_twin.diagnosis.proposals.offered import offered_effects
 from waferbot_twin.diagnosis.proposals.screening import Progress
@@ -82,8 +86,8 @@ class FoundCause:
                     one among them
     intervals_95    ends of the 95 % interval of each parameter; one chosen from a few has none
     log_evidence    ln of the Bayes factor against none of it
-    share           share of what the nominal model leaves over on the cause's axis, mean square in the
-                    block where it shows most, that goes with it alone, 0 to 1
+    share           share of what the nominal model gets wrong on the cause's axis, mean square beyond
+                    noise in the block where it shows most, that goes with it alone, 0 to 1
     """
 
     cause: Cause
@@ -211,8 +215,9 @@ def diagnose(
         notes.append(said.LOSES)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
-    left = unexplained(problem, posterior, settings)
-    causes = _found_causes(problem, posterior, settings, posterior.found.causes)
+    follows = follows_command(problem, posterior, settings)
+    left = unexplained(problem, posterior, follows)
+    causes = _found_causes(problem, posterior, settings, posterior.found.causes, follows)
     extended = apply_all(nominal, _in_the_model(posterior.found))
     notes += [
         *told,
@@ -280,7 +285,11 @@ def _in_the_model(found: Hypothesis) -> tuple[Cause, ...]:
 
 
 def _found_causes(
-    problem: Problem, posterior: Posterior, settings: Settings, some: Sequence[Cause]
+    problem: Problem,
+    posterior: Posterior,
+    settings: Settings,
+    some: Sequence[Cause],
+    follows: Follows | None = None,
 ) -> list[FoundCause]:
     """Return those of some causes that have a physical name, what explains most first."""
     found = posterior.found
@@ -301,7 +310,7 @@ def _found_causes(
                 effect.best.probability,
                 _credible_set(effect, cause, settings),
                 effect.best.log_evidence,
-                posterior.share(problem, place),
+                posterior.share(problem, place, follows),
             )
         )
     return sorted(result, key=lambda item: -item.share)

@@ -11,8 +11,8 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Posterior
-from waferbot_twin.diagnosis.inference.unexplained import unexplained
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, squares_of
+from waferbot_twin.diagnosis.inference.unexplained import follows_command, unexplained
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Twin
@@ -20,7 +20,15 @@ from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.noise_free_motion import motions
-from waferbot_twin.residuals.problem import AMPLIFIER, CONTROLLER, Cause, Problem, apply_all
+from waferbot_twin.residuals.problem import (
+    AMPLIFIER,
+    CONTROLLER,
+    PLANT,
+    Cause,
+    Problem,
+    apply_all,
+)
+from waferbot_twin.synthesis import noise
 
 
 def cause(name, **values):
@@ -49,7 +57,7 @@ def left_over(problem, *causes):
     found = Posterior(evaluate(problem), evaluate(problem, causes), (), 0)
     return {
         (item.axis, item.block): item
-        for item in unexplained(problem, found, Settings())
+        for item in unexplained(problem, found, follows_command(problem, found, Settings()))
         if item.block in (CONTROLLER, AMPLIFIER)
     }
 
@@ -87,7 +95,7 @@ def test_a_signal_that_one_log_does_not_have_is_asked_of_none(problem, monkeypat
     """An imported log without line currents beside one with them, of the same axis."""
     two = Problem(problem.nominal, [*problem.records, replace(problem.records[0], name='second')])
     found = Posterior(evaluate(two), evaluate(two, (DERIVATIVE, DEAD_TIME)), (), 0)
-    known = unexplained(two, found, Settings())
+    known = unexplained(two, found, follows_command(two, found, Settings()))
 
     def without_currents(*asked):
         every = motions(*asked)
@@ -100,6 +108,27 @@ def test_a_signal_that_one_log_does_not_have_is_asked_of_none(problem, monkeypat
         }
 
     monkeypatch.setattr('waferbot_twin.diagnosis.inference.unexplained.motions', without_currents)
-    assert {item.axis for item in unexplained(two, found, Settings())} <= {
-        item.axis for item in known
-    }
+    assert {
+        item.axis for item in unexplained(two, found, follows_command(two, found, Settings()))
+    } <= {item.axis for item in known}
+
+
+def test_shares_are_those_of_what_is_wrong_beyond_noise(problem):
+    """A force in a log whose readings are mostly noise explains nearly all that is wrong."""
+    force = cause('constant_force:x_rotate', force=3.0)
+    truth = apply_all(problem.nominal, [force])
+    loud = truth.with_overlay(noise(truth, 30.0, 3, np.random.default_rng(3)))
+    twin = Twin.of(loud.model(), Timing(), load_experiment('step'))
+    logs = Problem(problem.nominal, [record_of_signals('log', twin.advance(Timing().ticks(0.3)))])
+    before, after = evaluate(logs), evaluate(logs, (force,))
+    raw, kept = (squares_of(logs, one, PLANT, 'x_rotate') for one in (before, after))
+    assert 0.01 * raw < raw - kept < 0.5 * raw
+    posterior = Posterior(before, after, (), 1)
+    assert posterior.share(logs, 0) == pytest.approx(1.0)
+    follows = {(PLANT, 'x_rotate'): 0.5}
+    wanted = (raw - kept) / (raw - 0.5 * kept)
+    assert posterior.share(logs, 0, follows) == pytest.approx(wanted)
+    (left,) = (
+        one for one in unexplained(logs, posterior, follows) if one.with_what != 'its input'
+    )
+    assert left.share == pytest.approx(1.0 - wanted)

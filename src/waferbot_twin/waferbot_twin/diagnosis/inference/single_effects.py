@@ -20,7 +20,7 @@ and p(none) the rest. BF_j are Bayes factors of all logs (`estimation.evidence`)
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,6 +89,19 @@ class SingleEffect:
         return tuple(chosen)
 
 
+Follows = Mapping[tuple[str, str], float]
+"""Of a channel, by block and name, the share of what is left over that goes with the command."""
+
+
+def squares_of(problem: Problem, found: Hypothesis, block: str, axis: str) -> float:
+    """Return the sum of squares that a hypothesis leaves over in the channels of a block on an axis."""
+    return sum(
+        float(left @ left)
+        for channel, left in zip(problem.channels(block), found.residuals[block], strict=True)
+        if channel.axis == axis
+    )
+
+
 @dataclass(frozen=True)
 class Posterior:
     """All effects, and the hypothesis with the best of each in the same order; `nothing` without."""
@@ -98,11 +111,16 @@ class Posterior:
     effects: tuple[SingleEffect, ...]
     tried: int
 
-    def share(self, problem: Problem, place: int) -> float:
+    def share(self, problem: Problem, place: int, follows: Follows | None = None) -> float:
         """
-        Return the share of what the nominal model leaves over that goes with one cause alone.
+        Return the share of what the nominal model gets wrong that goes with one cause alone, 0 to 1.
 
-        Of the mean square on the cause's axis, in the block where that share is largest; 0 to 1.
+        Of the mean square on the cause's axis, beyond noise, in the block where that share is largest:
+
+            (s_without - s) / (max(s_nominal, s_without) - n),        n = sum over channels of (1 - f) s,
+
+        s what all causes leave over, f the part of a channel of it that `follows` the command: the rest
+        is noise, but in blocks that follow to the last bit.
         """
         cause = self.found.causes[place]
         others = (*self.found.causes[:place], *self.found.causes[place + 1 :])
@@ -112,19 +130,26 @@ class Posterior:
             return 1.0
         shares = [0.0]
         for block in problem.touched(cause.effect, cause.axis):
-            squares = [
-                sum(
-                    float(one @ one)
-                    for channel, one in zip(
-                        problem.channels(block), item.residuals[block], strict=True
-                    )
-                    if channel.axis == cause.axis
-                )
+            nominal, without, left = (
+                squares_of(problem, item, block, cause.axis)
                 for item in (self.nothing, fewer, self.found)
-            ]
-            if squares[0] > 0.0:
-                shares.append((squares[1] - squares[2]) / max(squares[:2]))
+            )
+            error = max(nominal, without) - self.noise(problem, block, cause.axis, follows)
+            if error > 0.0:
+                shares.append((without - left) / error)
         return min(max(shares), 1.0)
+
+    def noise(
+        self, problem: Problem, block: str, axis: str, follows: Follows | None = None
+    ) -> float:
+        """Return the sum of squares of noise in the channels of a block on an axis; see `share`."""
+        return sum(
+            (1.0 - (follows or {}).get((block, channel.name), 0.0)) * float(left @ left)
+            for channel, left in zip(
+                problem.channels(block), self.found.residuals[block], strict=True
+            )
+            if channel.axis == axis and channel.noise.order
+        )
 
     def without(self, problem: Problem, causes: Sequence[Cause], workers: int = 1) -> Posterior:
         """Return the posterior without some causes, the others fitted anew."""

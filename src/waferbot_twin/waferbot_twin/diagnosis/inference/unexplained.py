@@ -31,7 +31,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.discrepancy import goes_with, is_discrepancy
 from waferbot_twin.diagnosis.inference.exactness import inexact
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Posterior
+from waferbot_twin.diagnosis.inference.single_effects import Follows, Posterior, squares_of
 from waferbot_twin.effects.places import motor_axes
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import in_deviations
@@ -47,9 +47,8 @@ class Unexplained:
     """
     Something that no cause explains.
 
-    `share` is that of the mean square of what the nominal model leaves over in the block, on the
-    axis;
-    `with_what` says what it goes with, in words.
+    `share` is that of what the nominal model gets wrong in the block, on the axis, beyond noise
+    (`Posterior.share`); `with_what` says what it goes with, in words.
     """
 
     axis: str
@@ -58,52 +57,66 @@ class Unexplained:
     with_what: str
 
 
-def unexplained(problem: Problem, posterior: Posterior, settings: Settings) -> list[Unexplained]:
-    """Return what stays unexplained, one line for each axis and block, the largest share first."""
+def unexplained(problem: Problem, posterior: Posterior, follows: Follows) -> list[Unexplained]:
+    """
+    Return what stays unexplained, one line for each axis and block, the largest share first.
+
+    `follows` is what `follows_command` found.
+    """
     found = [
-        Unexplained(cause.axis, PLANT, posterior.share(problem, place), goes_with(cause))
+        Unexplained(cause.axis, PLANT, posterior.share(problem, place, follows), goes_with(cause))
         for place, cause in enumerate(posterior.found.causes)
         if is_discrepancy(cause)
     ]
-    for block, axis in inexact(problem, posterior):
-        found.append(Unexplained(axis, block, _left(problem, posterior, block, axis), 'its input'))
-    found += _with_command(problem, posterior, settings)
+    axes = {
+        (block, channel.axis)
+        for block in posterior.found.residuals
+        for channel in problem.channels(block)
+        if (block, channel.name) in follows
+    }
+    places = [(place, 'the commanded motion') for place in sorted(axes)]
+    places += [(place, 'its input') for place in inexact(problem, posterior)]
+    for (block, axis), with_what in places:
+        share = _left(problem, posterior, block, axis, follows)
+        found.append(Unexplained(axis, block, share, with_what))
     largest: dict[tuple[str, str], Unexplained] = {}
     for item in sorted(found, key=lambda one: -one.share):
         largest.setdefault((item.axis, item.block), item)
     return list(largest.values())
 
 
-def _left(problem: Problem, posterior: Posterior, block: str, axis: str) -> float:
-    """Return the share of the mean square on an axis that is left over."""
+def _left(
+    problem: Problem, posterior: Posterior, block: str, axis: str, follows: Follows
+) -> float:
+    """Return the share of what the nominal model gets wrong on an axis that is left over."""
+    before, left = (
+        squares_of(problem, item, block, axis) for item in (posterior.nothing, posterior.found)
+    )
+    noise = posterior.noise(problem, block, axis, follows)
+    error = max(before, left) - noise
+    return min((left - noise) / error, 1.0) if error > 0.0 else 0.0
 
-    def square(hypothesis: Hypothesis) -> float:
-        channels = zip(problem.channels(block), hypothesis.residuals[block], strict=True)
-        return sum(float(one @ one) for channel, one in channels if channel.axis == axis)
 
-    before = square(posterior.nothing)
-    return min(square(posterior.found) / before, 1.0) if before > 0.0 else 0.0
-
-
-def _with_command(problem: Problem, posterior: Posterior, settings: Settings) -> list[Unexplained]:
+def follows_command(problem: Problem, posterior: Posterior, settings: Settings) -> Follows:
+    """Return the channels in which what is left over goes with the command, and its share there."""
     found = posterior.found
     try:
         ideal = problem.ideal(found.causes)
         noise_free = ideal.records if ideal else [as_commanded(one) for one in problem.records]
         moving = motions(problem, noise_free, motor_axes(problem.nominal))
     except UserError:
-        return []
+        return {}
     asked: dict[tuple[str, str], list[tuple[Channel, int]]] = {}
     for block, fit in found.fits.items():
         for place, channel in enumerate(problem.channels(block)):
             if fit.colours[place].error.order:
                 asked.setdefault((block, channel.name), []).append((channel, place))
     prior = math.log(settings.expected_causes / max(len(asked), 1))
-    result = []
-    for (block, _), channels in asked.items():
+    result = {}
+    for (block, name), channels in asked.items():
         evidence, share = _dependence(found, block, channels, moving)
         if evidence + prior > 0.0:
-            result.append(Unexplained(channels[0][0].axis, block, share, 'the commanded motion'))
+            result[block, name] = share
     return result
 
 
