@@ -242,6 +242,29 @@ def test_an_effect_moves_the_drive_to_where_it_belongs(random, motor, late_ms) -
     assert with_more.skew_s[AXIS] == pytest.approx(1e-3 * (late_ms + 1.0))
 
 
+@pytest.mark.parametrize('late_ms', [2.0, 4.0, 5.5])
+def test_a_late_encoder_leaves_the_observer_as_it_is(random, motor, late_ms) -> None:
+    """
+    What is late in a model and as late in the log cancels, noise and all.
+
+    A delay of a fraction of a reading is a straight line between two of them.
+    """
+    log = log_of(random, jitter=0.0)
+    position = log[AXIS, 'position']
+    noisy = position.value + 3.0 / COUNTS * random.standard_normal(len(position.value))
+    record = record_of_measured_log(log.with_signal(replace(position, value=noisy)), motor)
+    sized = replace(motor, brought_in=frozenset({AXIS}))
+    skewed = find('skew').apply(sized, AXIS, {'late': late_ms})
+    late = find('encoder_delay').apply(skewed, AXIS, {'delay': late_ms})
+    (wanted,), (found,), (without,) = (
+        PlantBlock(record, variant).residuals(variant) for variant in (motor, late, skewed)
+    )
+    inside = slice(20, -20)
+    error = np.std(found[inside] - wanted[inside])
+    assert error < 0.005 * np.std(wanted)
+    assert error < 0.1 * np.std(without[inside] - wanted[inside])
+
+
 def test_effects_are_sized_by_what_the_log_used(random, motor) -> None:
     log = log_of(random)
     sized = sized_by([record_of_measured_log(log, motor)], motor)
