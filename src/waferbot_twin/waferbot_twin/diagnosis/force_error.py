@@ -55,7 +55,7 @@ def force_error(
     axis = fit.axis
     if places.motor_axes(nominal) != (axis,) or fit.force_unit != places.force_unit(nominal, axis):
         return None
-    late_s = fit.late_s + variant.skew_s.get(axis, 0.0)
+    late_s = fit.late_s + variant.skew_s.get(axis, 0.0) + variant.between_s.get(axis, 0.0)
     late_s -= variant.description.encoders[places.position_encoder(nominal, axis)].errors.delay
     try:
         dynamics = InverseDynamics(variant.description)

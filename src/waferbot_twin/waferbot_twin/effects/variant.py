@@ -48,6 +48,8 @@ class Overlay:
     """How far parameters are off, in the standard deviations that they usually have."""
     skew_s: Mapping[str, float] = field(default_factory=dict)
     """How much later than the position the drive of an axis stands in logs, more than is known."""
+    between_s: Mapping[str, float] = field(default_factory=dict)
+    """How much earlier a drive does what it does between two samples of a log than the log is taken."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ class Variant:
     """Parameters that are off, each in the standard deviations that it usually has (`Overlay`)."""
     skew_s: Mapping[str, float] = field(default_factory=dict)
     """Of logs, not of the machine: how late the drive of an axis stands in them (`Overlay`)."""
+    between_s: Mapping[str, float] = field(default_factory=dict)
+    """Likewise: how early it is between their samples."""
 
     @property
     def base(self) -> Variant:
@@ -109,6 +113,7 @@ class Variant:
             origin=self.base,
             deviations={**self.deviations, **overlay.deviations},
             skew_s={**self.skew_s, **overlay.skew_s},
+            between_s={**self.between_s, **overlay.between_s},
         )
 
     @cached_property

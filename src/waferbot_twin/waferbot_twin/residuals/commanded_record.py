@@ -75,7 +75,7 @@ def as_commanded(record: Record) -> Record:
         place = AXES.index(axis)
         known = np.isfinite(current[:, place])
         current[known, place] = columns[known] @ _response(current[:, place], columns)
-    return replace(record, reading=reading, current=current)
+    return replace(record, reading=reading, current=current, path=None)
 
 
 def _lagged_means(path: Array, rate_hz: float) -> Array:

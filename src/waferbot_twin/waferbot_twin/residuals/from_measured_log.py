@@ -42,6 +42,7 @@ from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, ZERO_ORDER, MeasuredLog, Signal
 from waferbot_twin.logs.pauses import Clock, with_short_pauses
+from waferbot_twin.residuals.drive_path import no_path, with_signal
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
 from waferbot_twin.residuals.record import Array, Record
 
@@ -188,9 +189,11 @@ def record_of_measured_log(
     ticks = cycles * timing.servo_divider
     edges_s = begin_s + np.arange(ticks + 1) * timing.tick_s
     current = np.full((ticks, len(AXES)), np.nan)
+    path = no_path(ticks + 1)
     for axis, drive in drives.items():
-        values = drive.means(edges_s + shift_s[axis])
-        current[:, AXES.index(axis)] = values * amperes_per_unit(variant, drive)
+        place, per_unit = AXES.index(axis), amperes_per_unit(variant, drive)
+        current[:, place] = drive.means(edges_s + shift_s[axis]) * per_unit
+        path = with_signal(path, place, drive, edges_s + shift_s[axis], per_unit)
     rows = ticks // timing.encoder_divider
     reading, after = (np.full((rows, len(ENCODERS)), np.nan) for _ in range(2))
     resolution, half_step = [1.0] * len(ENCODERS), [0.0] * len(ENCODERS)
@@ -229,6 +232,7 @@ def record_of_measured_log(
         _at_cycles(outputs, cycle_s, amperes, AXES),
         whole_counts=False,
         current=current,
+        path=path,
         late_s=np.nan_to_num(after),
         resolution=tuple(resolution),
         half_step=tuple(half_step),

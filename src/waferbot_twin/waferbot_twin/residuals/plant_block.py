@@ -313,18 +313,23 @@ class PlantBlock:
         """
         Return the current (n, 3) that makes force, A; (0, 3) where line currents are known.
 
-        That of a skewed axis is what stands in the log so much later.
+        That of a skewed axis is what stands in the log so much later. What a drive did between its
+        samples is a path there where it goes straight (`drive_path`), and a time elsewhere.
         """
         if self.record.current is None:
             return np.zeros((0, motors.MOTORS))
-        current = self.record.current
-        if any(variant.skew_s.values()):
-            late_s = np.array([variant.skew_s.get(axis, 0.0) for axis in AXES])
-            current = _moved(current, late_s / self.record.timing.tick_s)
+        current, path, tick_s = self.record.current, self.record.path, self.record.timing.tick_s
+        late_s, early_s = (
+            np.array([times.get(axis, 0.0) for axis in AXES])
+            for times in (variant.skew_s, variant.between_s)
+        )
+        if early_s.any() and path is not None:
+            current = current + path.earlier_by(early_s, tick_s)
+            early_s = np.where(path.step_s > 0.0, 0.0, early_s)
+        if late_s.any() or early_s.any():
+            current = _moved(current, (late_s + early_s) / tick_s)
         lags = places.drive_lags(variant)
-        if not lags.any():
-            return current
-        return np.asarray(motors.lagged(current, lags, self.record.timing.tick_s))
+        return np.asarray(motors.lagged(current, lags, tick_s)) if lags.any() else current
 
     def _gains(
         self,

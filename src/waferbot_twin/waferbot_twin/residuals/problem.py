@@ -184,7 +184,7 @@ class Problem:
             bool(overlay.pmac),
             bool(overlay.copley),
             bool(overlay.deviations),
-            bool(overlay.skew_s),
+            bool(overlay.skew_s or overlay.between_s),
         )
 
     def between(self, one: Variant, other: Variant) -> tuple[str, ...]:
@@ -195,7 +195,7 @@ class Problem:
             one.pmac != other.pmac,
             one.copley != other.copley,
             one.deviations != other.deviations,
-            one.skew_s != other.skew_s,
+            (one.skew_s, one.between_s) != (other.skew_s, other.between_s),
         )
 
     def _reading(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.timing import Timing
+from waferbot_twin.residuals.drive_path import DrivePath
 
 Array = NDArray[np.float64]
 
@@ -56,6 +57,7 @@ class Record:
 
     current       (ticks, 3) A, the part of each motor's current that makes force, mean over each tick;
                   it drives motors whose line currents are not known; NaN or None where that is neither
+    path          what is open of that between the samples of an imported log, or None
     late_s        (rows, 4) s, how much after the tick of its row a reading was taken; None: not at all
     resolution    smallest step of each encoder's readings, counts
     half_step     counts that were added to what each encoder published, so that readings are right on
@@ -90,6 +92,7 @@ class Record:
     terminals: Terminals | None = None
     judged_from_s: float = 0.0
     current: Array | None = None
+    path: DrivePath | None = None
     late_s: Array | None = None
     resolution: tuple[float, ...] = (1.0,) * len(ENCODERS)
     half_step: tuple[float, ...] = (0.0,) * len(ENCODERS)
@@ -179,6 +182,7 @@ class Record:
             timing=longer,
             line_current=_means(self.line_current, times),
             current=None if self.current is None else _means(self.current, times),
+            path=None if self.path is None else self.path.in_longer_ticks(times),
             terminals=None,
         )
 
@@ -204,6 +208,7 @@ class Record:
             terminals=None if self.terminals is None else self.terminals.part(ticks),
             judged_from_s=first_s - before / timing.servo_hz,
             current=None if self.current is None else self.current[ticks],
+            path=None if self.path is None else self.path.part(ticks),
             late_s=None if self.late_s is None else self.late_s[rows],
         )
 

@@ -104,16 +104,6 @@ def test_a_skew_of_the_dense_effect_is_that_of_a_log():
     assert machines[0] == machines[1]
 
 
-def test_a_skew_that_is_a_cause_does_not_deviate_besides():
-    geared = Variant.of(load_model_or_machine('geared_pendulum'))
-    sized = replace(geared, brought_in=frozenset({'y_rotate'}))
-    record = record_of_measured_log(log_of(geared, 0.0), geared)
-    times = dense(sized, [replace(record, skew_spread_s=(0.0, 0.0, STEP_S))])
-    skew = Cause(find('skew'), 'y_rotate', {'late': 3.0})
-    _, held = each_once(SimpleNamespace(nominal=sized), (skew, times))
-    assert held.held == ('logs.y_rotate.skew_s',)
-
-
 def test_what_has_a_cause_does_not_deviate_besides(nominal):
     """Else a cause and a correction would share one number, and no log could tell how."""
     (effect,), known = nuisance(nominal, [], Settings())

@@ -11,15 +11,16 @@ the prior
     p = p_0 + c x,    x / s ~ Student's t, all together, |x| <= 3 s,    s its usual spread,        (1)
 
 a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
-time of a drive against its position p_0 is 0, c 1 s, and s what the log leaves open
-(`Record.skew_spread_s`). A dense effect competes with the causes as a whole: where one thing alone is
-wrong, that is far more probable than many which happen to look like it; where all are a little off, no
-one of them is a cause. A parameter becomes a cause, beside the dense effects, only where it is further
-off than (1) has it.
+time of a drive between its samples (`residuals.drive_path`) p_0 is 0, c 1 s, s what the log leaves open
+(`Record.skew_spread_s`), and |x| half a step at most. A dense effect competes with the causes as a
+whole: where one thing alone is wrong, that is far more probable than many which happen to look like it;
+where all are a little off, no one of them is a cause. A parameter becomes a cause, beside the dense
+effects, only where it is further off than (1) has it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -77,8 +78,9 @@ class Number:
 
     @property
     def room(self) -> tuple[float, float]:
-        """How far x can go down and up."""
-        return -SPREADS * self.spread, SPREADS * self.spread
+        """How far x can go down and up; between two samples of a log there is half a step either way."""
+        most = math.sqrt(3.0) if self.section == LOGS else SPREADS
+        return -most * self.spread, most * self.spread
 
     @property
     def path(self) -> str:
@@ -207,16 +209,16 @@ def _dense(known: Sequence[Number]) -> Effect:
 
     def overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         machine: dict[str, dict[str, dict[str, Any]]] = {}
-        skew_s: dict[str, float] = {}
+        between_s: dict[str, float] = {}
         for item in known:
             value = values[item.path]
             if item.section == LOGS:
-                skew_s[item.name] = variant.skew_s.get(item.name, 0.0) + value
+                between_s[item.name] = value
                 continue
             entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
             entry[item.key] = _scaled(variant, item, 1.0 + value)
         deviations = {item.path: values[item.path] / item.spread for item in known}
-        return Overlay(machine, deviations=deviations, skew_s=skew_s)
+        return Overlay(machine, deviations=deviations, between_s=between_s)
 
     return Effect(
         NAME_OF_LOGS if of_logs else NAME,
@@ -263,9 +265,8 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
 
 
 def _entries(variant: Variant) -> set[tuple[str, str]]:
-    """Return every entry of a description by its path, and what stands there; skews of logs, too."""
-    skews = {(f'{LOGS}.{axis}.skew_s', repr(late_s)) for axis, late_s in variant.skew_s.items()}
-    return skews | {
+    """Return every entry of a description by its path, and what stands there."""
+    return {
         (f'{section}.{name}.{key}', repr(value))
         for section, names in variant.machine.items()
         if isinstance(names, Mapping)
