@@ -394,13 +394,16 @@ def _beside_noise(
     """
     Return ln of the odds of the last cause of `more` beside what noise may feign; None if none is known.
 
-    Of the model without it as it is fitted, or as the linear problem has it.
+    Of the model without it as it is fitted (with the signatures of `more`, which hold near it), or as
+    the linear problem has it.
     """
     problem, settings = pool.problem, pool.settings
     name = more.causes[-1].name
     try:
         if refitted:
-            base = without(problem, more, [name], pool.workers)
+            names = [cause.name for cause in more.causes]
+            known = dict(zip(names, pool.signatures_of(more), strict=True))
+            base = without(problem, more, [name], pool.workers, known)
         else:
             base = without_by_linear(problem, more, name)
     except UserError:
