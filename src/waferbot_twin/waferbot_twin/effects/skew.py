@@ -17,7 +17,7 @@ from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
 
 TYPICAL_MS, MOST_MS = 1.0, 20.0
-"""A sample of a usual log; what is ten times as late is no log of one motion."""
+"""A sample of a usual log, and as late as an encoder of a machine alone may be."""
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:

@@ -29,7 +29,7 @@ from waferbot_twin.residuals.noise_free_motion import STANDS_COUNTS_S
 from waferbot_twin.residuals.record import Array, Record
 
 LONGEST_S = 0.25
-"""How long a loop answers to a command, s."""
+"""How long a loop answers to a command, s; assumed: what takes longer is not explained."""
 
 RATIO = 2.0**0.25
 """From lag to lag, beyond the first few rows."""
