@@ -159,9 +159,11 @@ def test_friction_and_clock_of_the_pendulum_come_out(tmp_path) -> None:
     count, 11.6 to 12.0 a turn: nobody knows whether that is true, two in a turn of the motor are 12.
     """
     report = diagnosis_of_pendulum(tmp_path)
-    cause, cyclic = report['causes']
+    # Which of the two comes first is their shares', and these are small parts of steps of the encoder.
+    assert len(report['causes']) == 2
+    (cyclic,) = (item for item in report['causes'] if item['effect'] == 'interpolation_error')
+    (cause,) = (item for item in report['causes'] if item is not cyclic)
     assert cause['probability'] < 0.95
-    assert cyclic['effect'] == 'interpolation_error'
     assert 175.0 < cyclic['parameters']['period']['value'] < 190.0
     friction = {item['effect']: item['values'] for item in cause['credible_set']}
     assert 0.15 < friction['coulomb_friction']['friction'] < 0.25
