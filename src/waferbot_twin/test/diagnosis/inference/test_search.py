@@ -48,7 +48,9 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
         '_ask_again',
         lambda pool, found, effects, most: (hypothesis(*left.pop(0)), effects, 0),
     )
-    monkeypatch.setattr(search, '_instrumented', lambda pool, found, effects: (None, effects))
+    monkeypatch.setattr(
+        search, 'without_feigned', lambda pool, found, effects: (found, effects, [])
+    )
     monkeypatch.setattr(search, 'to_the_end', lambda problem, found, workers: found)
     pool = SimpleNamespace(
         problem=None,

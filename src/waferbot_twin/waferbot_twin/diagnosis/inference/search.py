@@ -9,7 +9,7 @@ known. Where one of those that were asked for has gone, what it stood for may st
 and so on (stepwise selection). The posterior of each is that of `single_effects`, from fits through the
 simulation for every candidate that the linear problem puts within reach (`refit`). What no physical
 cause explains competes with them: forces over speed and position of an axis without a name
-(`discrepancy`). Last, what the closed loop has made of noise is taken out (`instrument`).
+(`discrepancy`). Last, what the closed loop has made of noise is taken out (`feigned`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
-from waferbot_twin.diagnosis.inference.instrument import (
-    instrumented_gain,
-    log_odds_beside_noise,
-    noise_free_logs,
-)
+from waferbot_twin.diagnosis.inference.feigned import without_feigned
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
     begun_elsewhere,
@@ -36,7 +32,6 @@ from waferbot_twin.diagnosis.inference.refit import (
     to_the_end,
     with_last,
     within_reach,
-    without,
 )
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
@@ -92,13 +87,12 @@ def infer(pool: CandidatePool) -> Posterior:
         if most > 0 and not names.issuperset(wanted) and names not in seen:
             seen.add(names)
             continue
-        feigned, judged = _instrumented(pool, found, effects)
-        if feigned is None:
+        found, effects, feigned = without_feigned(pool, found, effects)
+        if not feigned:
             found = to_the_end(pool.problem, found, pool.workers)
-            return Posterior(nothing, found, tuple(judged), len(pool.names))
-        pool.leave_out(feigned)
-        found = without(pool.problem, found, [feigned], pool.workers)
-        effects = [effect for effect in effects if effect.best.cause.name != feigned]
+            return Posterior(nothing, found, tuple(effects), len(pool.names))
+        for name in feigned:
+            pool.leave_out(name)
 
 
 def _ask_on(
@@ -353,67 +347,6 @@ def _some_of_each(
 def _included(effect: SingleEffect, settings: Settings) -> bool:
     """Return whether an effect is in the model; where no log tells, odds are even but for rounding."""
     return effect.inclusion > settings.included_from + ROUNDING
-
-
-def _instrumented(
-    pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
-) -> tuple[str | None, list[SingleEffect]]:
-    """
-    Return which cause the closed loop's noise has made most plainly, if any; and effects as judged now.
-
-    What another cause leaves over goes with the command, too. So it is asked last, when no further cause
-    is found; of the model without the cause as the linear problem has it, and where that would take the
-    name away, as it is fitted.
-    """
-    problem, settings = pool.problem, pool.settings
-    judged: list[SingleEffect] = []
-    worst, feigned = log_odds_at(settings.included_from), None
-    try:
-        noise_free = noise_free_logs(problem, found) if effects else None
-    except UserError:
-        noise_free = None
-    if noise_free is None:
-        return None, list(effects)
-    for effect in effects:
-        more = with_last(problem, found, effect.best.cause.name)
-        odds = effect.log_odds
-        for refitted in (False, True):
-            beside = _beside_noise(pool, more, effect.log_odds, noise_free, refitted)
-            odds = effect.log_odds if beside is None else beside
-            if beside is not None and odds > log_odds_at(settings.named_from):
-                break
-        judged.append(effect if odds == effect.log_odds else with_odds(effect, odds))
-        if odds < worst:
-            worst, feigned = odds, effect.best.cause.name
-    return feigned, judged
-
-
-def _beside_noise(
-    pool: CandidatePool, more: Hypothesis, by_logs: float, noise_free: Problem, refitted: bool
-) -> float | None:
-    """
-    Return ln of the odds of the last cause of `more` beside what noise may feign; None if none is known.
-
-    Of the model without it as it is fitted (with the signatures of `more`, which hold near it), or as
-    the linear problem has it.
-    """
-    problem, settings = pool.problem, pool.settings
-    name = more.causes[-1].name
-    try:
-        if refitted:
-            names = [cause.name for cause in more.causes]
-            known = dict(zip(names, pool.signatures_of(more), strict=True))
-            base = without(problem, more, [name], pool.workers, known)
-        else:
-            base = without_by_linear(problem, more, name)
-    except UserError:
-        return None
-    gained = instrumented_gain(problem, base, more, noise_free)
-    if gained is None:
-        return None
-    prior = pool.log_prior(more.causes[-1])
-    evidence = log_evidence(problem, more, base, settings.prior_scales, gained)
-    return log_odds_beside_noise(by_logs, evidence + prior, prior)
 
 
 def _ask_again(

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Backward elimination of what noise feigns: the causes that the command does not show.
+
+What another cause leaves over goes with the command, too. So it is asked last, when no further cause is
+found. The least odds of `instrument`, equation (1), go first, the others are fitted anew without that
+cause and judged again, until none is less probable than not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from joblib import Parallel, delayed
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
+from waferbot_twin.diagnosis.inference.elimination import log_odds_at
+from waferbot_twin.diagnosis.inference.instrument import (
+    instrumented_gain,
+    log_odds_beside_noise,
+    noise_free_logs,
+)
+from waferbot_twin.diagnosis.inference.refit import with_last, without
+from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.estimation.conditional import without_by_linear
+from waferbot_twin.estimation.evidence import log_evidence
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.residuals.problem import Problem
+
+
+def without_feigned(
+    pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
+) -> tuple[Hypothesis, list[SingleEffect], list[str]]:
+    """
+    Return a hypothesis without what noise feigns, its effects, and the names of what went.
+
+    Effects are as sure as noise leaves them where nothing went, else as before: more may be found then,
+    and they are judged again.
+    """
+    limit = log_odds_at(pool.settings.included_from)
+    left, gone = list(effects), list[str]()
+    while True:
+        judged = _judged(pool, found, left)
+        least = min(judged, key=lambda effect: effect.log_odds, default=None)
+        if least is None or least.log_odds >= limit:
+            return found, left if gone else judged, gone
+        name = least.best.cause.name
+        gone.append(name)
+        left = [effect for effect in left if effect.best.cause.name != name]
+        found = without(pool.problem, found, [name], pool.workers)
+
+
+def _judged(
+    pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
+) -> list[SingleEffect]:
+    """Return effects with their odds beside what noise may feign; as they are where none is known."""
+    try:
+        noise_free = noise_free_logs(pool.problem, found) if effects else None
+    except UserError:
+        noise_free = None
+    if noise_free is None:
+        return list(effects)
+    known = pool.judged(found)
+    parallel = Parallel(n_jobs=pool.workers, return_as='generator', batch_size=1)
+    tasks = (
+        delayed(_log_odds)(known, found, one.best.cause.name, one.log_odds, noise_free)
+        for one in effects
+    )
+    result = []
+    for done, (effect, odds) in enumerate(zip(effects, parallel(tasks), strict=True), 1):
+        pool.progress('what noise feigns', done, len(effects))
+        result.append(effect if odds == effect.log_odds else with_odds(effect, odds))
+    return result
+
+
+def _log_odds(
+    known: Judged, found: Hypothesis, name: str, by_logs: float, noise_free: Problem
+) -> float:
+    """
+    Return ln of the odds of a cause beside what noise may feign, those by the logs if none are known.
+
+    Of the model without the cause as the linear problem has it, and where that would take the name away,
+    as it is fitted, with the signatures of `found`, which hold near it.
+    """
+    problem = known.problem
+    more = with_last(problem, found, name)
+    prior = known.log_prior(more.causes[-1])
+
+    def beside(base: Hypothesis) -> float | None:
+        gained = instrumented_gain(problem, base, more, noise_free)
+        if gained is None:
+            return None
+        evidence = log_evidence(problem, more, base, known.settings.prior_scales, gained)
+        return log_odds_beside_noise(by_logs, evidence + prior, prior)
+
+    try:
+        odds = beside(without_by_linear(problem, more, name))
+        if odds is not None and odds > log_odds_at(known.settings.named_from):
+            return odds
+    except UserError:
+        pass
+    names = [cause.name for cause in found.causes]
+    signatures = dict(zip(names, known.signatures_of(found), strict=True))
+    try:
+        odds = beside(without(problem, more, [name], known.workers, signatures))
+    except UserError:
+        return by_logs
+    return by_logs if odds is None else odds
