@@ -42,7 +42,7 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
         return found, effects, wanted, times
 
     monkeypatch.setattr(search, 'evaluate', lambda problem: hypothesis())
-    monkeypatch.setattr(search, '_ask_on', ask_on)
+    monkeypatch.setattr(search, 'ask_on', ask_on)
     monkeypatch.setattr(
         search,
         '_ask_again',
@@ -67,49 +67,6 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     assert {cause.name for cause in found.causes} >= {'friction'}
 
 
-@pytest.mark.parametrize(
-    ('ahead', 'then', 'taken', 'asked'),
-    [
-        # the first is ahead of the force without a name already
-        ([1.0], [], ['a'], 0),
-        # two do together what it does alone
-        ([-5.0, 2.0], [['b']], ['a', 'b'], 1),
-        # they never are, and no more is there
-        ([-5.0], [['force_over_velocity']], [], 1),
-        # nor may more be asked for
-        ([-5.0, -1.0, -0.5, -0.2], [['b'], ['c'], ['d']], [], 3),
-    ],
-)
-def test_several_causes_may_do_what_a_force_without_a_name_does(
-    monkeypatch, ahead, then, taken, asked
-):
-    def effect(*names):
-        members = tuple(
-            SimpleNamespace(
-                cause=SimpleNamespace(name=name, effect=SimpleNamespace(name=name)),
-                found=hypothesis(name),
-            )
-            for name in names
-        )
-        return SimpleNamespace(members=members, best=members[0], inclusion=1.0)
-
-    ahead, then = list(ahead), [effect(*names) for names in then]
-    monkeypatch.setattr(search, 'with_last', lambda problem, found, name: found)
-    monkeypatch.setattr(
-        search,
-        'posterior_of',
-        lambda base, members: effect(members[0].cause.name) if members else None,
-    )
-    monkeypatch.setattr(search, '_fitted_on', lambda pool, found, causes: found)
-    monkeypatch.setattr(search, '_log_odds_between', lambda pool, one, other: ahead.pop(0))
-    monkeypatch.setattr(search, '_ask', lambda pool, base: then.pop(0) if then else None)
-    pool = SimpleNamespace(problem=None, settings=Settings())
-    first = effect('force_over_velocity', 'a')
-    chosen, _, more = search._by_names(pool, hypothesis(), first, 3)
-    assert [one.best.cause.name for one in chosen] == taken
-    assert more == asked
-
-
 def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
     """The second becomes another one: the first is asked for again, the third was asked beside it."""
     told = []
@@ -131,8 +88,8 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
 
     monkeypatch.setattr(search, 'with_last', with_last)
     monkeypatch.setattr(search, 'without_by_linear', lambda problem, present, name: None)
-    monkeypatch.setattr(search, '_posterior', posterior)
-    monkeypatch.setattr(search, '_fitted_on', fitted_on)
+    monkeypatch.setattr(search, 'posterior_beside', posterior)
+    monkeypatch.setattr(search, 'fitted_together', fitted_on)
     monkeypatch.setattr(search, 'evident', lambda pool, found, effects: (found, list(effects)))
     pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'])
     names = ('first', 'second', 'third')

@@ -2,65 +2,29 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`settings`). What rings is then begun at
-other sizes, too; what is not evident beside all that was found goes again (`elimination`). Then each is
+Effects are added as long as one is more probable than not (`forward_selection`). Then each is
 asked for anew beside all others, as often as one changes: an early choice is revised when the others are
 known. Where one of those that were asked for has gone, what it stood for may still lack: more are added,
 and so on (stepwise selection). The posterior of each is that of `single_effects`, from fits through the
-simulation for every candidate that the linear problem puts within reach (`refit`). What no physical
-cause explains competes with them: forces over speed and position of an axis without a name
-(`discrepancy`). Last, what the closed loop has made of noise is taken out (`feigned`).
+simulation for every candidate that the linear problem puts within reach (`refit`). Last, what the closed
+loop has made of noise is taken out (`feigned`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
-
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.feigned import without_feigned
-from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
-from waferbot_twin.diagnosis.inference.refit import (
-    begun_elsewhere,
-    fitted,
-    fitted_on,
-    to_the_end,
-    with_last,
-    within_reach,
+from waferbot_twin.diagnosis.inference.forward_selection import (
+    ask_on,
+    fitted_together,
+    posterior_beside,
 )
-from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import (
-    Member,
-    Posterior,
-    SingleEffect,
-    posterior_of,
-    with_odds,
-)
-from waferbot_twin.diagnosis.proposals.screening import Screened, at_its_sizes, untempered
+from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear
-from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
-from waferbot_twin.estimation.hypothesis import (
-    Hypothesis,
-    evaluate,
-    is_nothing,
-    lets_go,
-    on_a_bound,
-    parameters_of,
-)
-from waferbot_twin.estimation.separable import part_of
-from waferbot_twin.estimation.size_prior import log_prior, scales_of
-from waferbot_twin.noise_model.prediction_error import in_deviations
-from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
-from waferbot_twin.residuals.problem import Cause, Problem
-from waferbot_twin.residuals.record import Array
-
-ROUNDING = 0.01
-"""Of a probability: fits end where a round gains some hundredths in ln L."""
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 
 PASSES = 2
 """How often at most every effect is asked for anew."""
@@ -79,7 +43,7 @@ def infer(pool: CandidatePool) -> Posterior:
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
     while True:
-        found, effects, wanted, asked = _ask_on(pool, found, effects, most, usual=bool(seen))
+        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual=bool(seen))
         most -= asked
         found, effects, asked = _ask_again(pool, found, effects, most)
         most -= asked
@@ -93,260 +57,6 @@ def infer(pool: CandidatePool) -> Posterior:
             return Posterior(nothing, found, tuple(effects), len(pool.names))
         for name in feigned:
             pool.leave_out(name)
-
-
-def _ask_on(
-    pool: CandidatePool,
-    found: Hypothesis,
-    effects: list[SingleEffect],
-    most: int,
-    usual: bool,
-) -> tuple[Hypothesis, list[SingleEffect], set[str], int]:
-    """
-    Add effects as long as one is included; return whatever was asked for, and how often, too.
-
-    With the most probable candidate come those that are plain beside it, too (`_apart`): they were asked
-    for as well, and would be found in the next rounds.
-
-    Where many things lack, each is hidden by what the others leave over: along most directions there is
-    so much that no single cause stands out of it. So what would be more probable than none if the power
-    along it were known is in the model for the time being, too. And whichever came first would take what
-    many others leave over. So where something is found a second time, what everybody fits first comes
-    along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
-    (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
-    found by then. A force without a name is asked for again beside them, and not there before: it would
-    do what several of them do together. `usual` says that they have been there. Where it is ahead
-    again, other causes may still do together what it does (`_by_names`).
-    """
-    asked, along = 0, set[str]()
-    effects, tentative = list(effects), list[SingleEffect]()
-    while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
-        effect = _ask(pool, found)
-        asked += 1
-        if effect is None:
-            break
-        included = _included(effect, pool.settings)
-        if included and usual and is_discrepancy(effect.best.cause):
-            named, instead, more = _by_names(pool, found, effect, most - asked)
-            asked += more
-            if named:
-                effects += named
-                found, effects, tentative = _some_of_each(
-                    pool.problem, instead, effects, tentative
-                )
-                continue
-        best = effect.best if included else _ahead(pool.problem, found, effect)
-        if best is None:
-            break
-        causes = found.causes
-        without_name = is_discrepancy(best.cause) and not usual
-        if not without_name:
-            causes = best.found.causes
-            (effects if included else tentative).append(
-                effect if included else SingleEffect((best,), effect.none)
-            )
-            for one in _apart(pool, found, effect.members) if included else ():
-                effects.append(with_odds(SingleEffect((one,), effect.none), one.log_odds))
-                causes = (*causes, one.cause)
-        first: list[Cause] = []
-        if not usual and (asked > 1 or without_name):
-            usual = True
-            there = {cause.name for cause in causes}
-            first = [cause for cause in pool.usual() if cause.name not in there]
-        if without_name:
-            together = each_once(pool.problem, (*causes, *first))
-            found = fitted(pool.problem, together, pool.workers) or found
-        else:
-            found = _fitted_on(pool, best.found, (*causes, *first))
-        names = {cause.name for cause in found.causes}
-        along |= {one.name for one in first}
-        tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
-        found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
-        pool.note_noise_of(found)
-    found = _begun_elsewhere(pool, found)
-    wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
-    return *evident(pool, found, effects, tentative), wanted, asked
-
-
-def _begun_elsewhere(pool: CandidatePool, found: Hypothesis) -> Hypothesis:
-    """Return a hypothesis with each cause that rings at the most probable size it is tried at."""
-    names = [cause.name for cause in found.causes]
-    for cause in found.causes:
-        if not cause.effect.rings:
-            continue
-        trials = list(at_its_sizes(parameters_of(pool.problem, cause), replace(cause, narrow=())))
-        known = dict(zip(names, pool.signatures_of(found), strict=True))
-        found = begun_elsewhere(pool.problem, found, trials, known, pool.workers)
-    return found
-
-
-def _by_names(
-    pool: CandidatePool, base: Hypothesis, effect: SingleEffect, most: int
-) -> tuple[list[SingleEffect], Hypothesis, int]:
-    """
-    Return causes that together are more probable than a force without a name, and they fitted.
-
-    Several causes may do what such a force does alone, and each of them less of it. They are added to
-    `base`, one after the other, as long as one is included, until they are ahead. None if they never
-    are. `effect` is what was asked for beside `base`; return how often more was asked for, too.
-    """
-    unnamed = with_last(pool.problem, effect.best.found, effect.best.cause.name)
-    there, chosen, asked = base, list[SingleEffect](), 0
-    members = effect.members
-    while True:
-        own = posterior_of(there, [one for one in members if not is_discrepancy(one.cause)])
-        if own is None or not _included(own, pool.settings):
-            return [], base, asked
-        chosen.append(own)
-        there = _fitted_on(pool, own.best.found, own.best.found.causes)
-        if _log_odds_between(pool, there, unnamed) > 0.0:
-            return chosen, there, asked
-        if asked >= most:
-            return [], base, asked
-        more = _ask(pool, there)
-        asked += 1
-        if more is None:
-            return [], base, asked
-        members = more.members
-
-
-def _log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -> float:
-    """Return ln of the posterior odds of one hypothesis against another, whatever causes each has."""
-    problem, scales = pool.problem, pool.settings.prior_scales
-    both = {cause.name for cause in one.causes} & {cause.name for cause in other.causes}
-
-    def own(hypothesis: Hypothesis) -> float:
-        total = log_prior(problem, [item for item in hypothesis.causes if item.name in both])
-        for place, cause in enumerate(hypothesis.causes):
-            if cause.name not in both:
-                known = information_of(problem, hypothesis, place)
-                own_scales = scales_of(problem, cause, scales)
-                total += log_occam(cause, parameters_of(problem, cause), known, own_scales)
-                total += pool.log_prior(cause)
-        return total
-
-    return gain(one, other) + own(one) - own(other)
-
-
-def _fitted_on(pool: CandidatePool, found: Hypothesis, causes: tuple[Cause, ...]) -> Hypothesis:
-    """
-    Return causes fitted, no number in two places (`each_once`).
-
-    Where those are the ones of `found`, or the machine does not stand with them, that one with its last
-    cause fitted on.
-    """
-    together = each_once(pool.problem, causes)
-    joint = fitted(pool.problem, together, pool.workers) if together != found.causes else None
-    return joint or fitted_on(pool.problem, found, pool.workers)
-
-
-def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
-    """Return a cause of a hypothesis as an effect that was not asked for."""
-    last = with_last(pool.problem, found, cause.name)
-    return SingleEffect((Member(last, 0.0, pool.log_prior(cause), 1.0),), 0.0)
-
-
-def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[Member]:
-    """
-    Return those members beside the first that are plain beside the others, too.
-
-    One after the other, each by its gain in the linear problem without what those before it change. None
-    of those that another candidate could stand for: which it is has to be asked. And of an axis only one
-    that lets a part go: with that it is another machine, and what each changes alone does not add up.
-    """
-    plain = log_odds_at(pool.settings.named_from)
-    chosen, changes = [members[0]], [_change(base, members[0])]
-    known = pool.signatures_of(base)
-    rest = [
-        (one, _change(base, one))
-        for one in members[1:]
-        if one.log_odds > plain and not is_nuisance(one.cause) and not is_discrepancy(one.cause)
-    ]
-    while rest:
-        odds = [
-            one.log_odds - gain(one.found, base) + _gain_beside(base, changes, change)
-            for one, change in rest
-        ]
-        best = int(np.argmax(odds))
-        if odds[best] <= plain:
-            break
-        one, change = rest.pop(best)
-        go = [item for item in (one, *chosen) if item.cause.axis == one.cause.axis]
-        if sum(lets_go(pool.problem, base.causes, item.cause) for item in go) > 1:
-            continue
-        names = {item.cause.name for item in chosen}
-        if all(rival.name in names for rival in pool.could_stand_for(one.found, known)):
-            chosen.append(one)
-        changes.append(change)
-    return chosen[1:]
-
-
-def _gain_beside(base: Hypothesis, others: Sequence[list[Array]], own: list[Array]) -> float:
-    """Return the gain of a change of `base`, in any size, beside others, in the linear problem."""
-    white = [one for fit in base.fits.values() for one in fit.whitened]
-    colours = [colour for fit in base.fits.values() for colour in fit.colours]
-    columns, _ = np.linalg.qr(np.column_stack([np.concatenate(one) for one in others]))
-    left, change = (
-        rows - columns @ (columns.T @ rows)
-        for rows in (np.concatenate(white), np.concatenate(own))
-    )
-    square = float(change @ change)
-    size = float(change @ left) / square if square else 0.0
-    ends = np.cumsum([len(one) for one in white])[:-1]
-    before, after, moved = (
-        np.split(rows, ends) for rows in (left, left - size * change, size * change)
-    )
-    squares = [float(one @ one - two @ two) for one, two in zip(before, after, strict=True)]
-    return sum(log_likelihood_ratios_in(powers_along(after, moved, colours), squares))
-
-
-def _change(base: Hypothesis, member: Member) -> list[Array]:
-    """Return what a member takes away in every channel, in the noise of `base`."""
-    return [
-        one
-        for block, fit in base.fits.items()
-        for one in in_deviations(
-            fit.colours,
-            [
-                before - after
-                for before, after in zip(
-                    base.residuals[block], member.found.residuals[block], strict=True
-                )
-            ],
-        )
-    ]
-
-
-def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
-    """Return the most probable member if the power of the noise along each were known; None for none."""
-
-    def log_odds(member: Member) -> float:
-        more = gain(member.found, base, power_known=True) - gain(member.found, base)
-        return member.log_odds + more
-
-    best = max(effect.members, key=log_odds)
-    return best if log_odds(best) > 0.0 else None
-
-
-def _some_of_each(
-    problem: Problem,
-    found: Hypothesis,
-    effects: Sequence[SingleEffect],
-    tentative: Sequence[SingleEffect],
-) -> tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]:
-    """Return a fitted hypothesis and its effects without those causes of which there is nothing."""
-    places = [place for place, one in enumerate(found.causes) if not is_nothing(problem, one)]
-    kept = part_of(problem, found, places, frozenset(problem.blocks))
-    names = {cause.name for cause in kept.causes}
-    effects, tentative = (
-        [one for one in some if one.best.cause.name in names] for some in (effects, tentative)
-    )
-    return kept, effects, tentative
-
-
-def _included(effect: SingleEffect, settings: Settings) -> bool:
-    """Return whether an effect is in the model; where no log tells, odds are even but for rounding."""
-    return effect.inclusion > settings.included_from + ROUNDING
 
 
 def _ask_again(
@@ -380,7 +90,7 @@ def _ask_again(
                 base = without_by_linear(pool.problem, present, name)
             except UserError:
                 continue
-            again = _posterior(pool, base, rivals, present)
+            again = posterior_beside(pool, base, rivals, present)
             if again is None:
                 continue
             place = next(number for number, one in enumerate(effects) if one is effect)
@@ -390,7 +100,7 @@ def _ask_again(
                 changed, asked = True, {again.best.cause.name}
             if again.best.found is not present:
                 moved = True
-                found = _fitted_on(pool, again.best.found, again.best.found.causes)
+                found = fitted_together(pool, again.best.found, again.best.found.causes)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break
@@ -399,50 +109,3 @@ def _ask_again(
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects, most - left
-
-
-def _ask(pool: CandidatePool, base: Hypothesis) -> SingleEffect | None:
-    """Return the posterior of one more effect beside those of `base`; None if none could be fitted."""
-    screened = _promising(pool, pool.screen(base)) or _promising(pool, pool.damped_rings(base))
-    return _posterior(pool, base, screened)
-
-
-def _posterior(
-    pool: CandidatePool,
-    base: Hypothesis,
-    screened: Sequence[Screened],
-    present: Hypothesis | None = None,
-) -> SingleEffect | None:
-    """
-    Return the posterior of one effect, from fits of what the linear problem puts within reach.
-
-    `present` has as its last cause what is there now, fitted with the others: from `base`, whose causes
-    have taken what they can of its work, a fit may not find back there. None if nothing could be fitted.
-    """
-    problem, settings = pool.problem, pool.settings
-    chosen = within_reach(problem, screened, settings)
-    if present is None:
-        there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
-        chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
-    known = pool.signatures_of(base) if present is None else pool.signatures_of(present)[:-1]
-    refitted = pool.refits(base, chosen, known)
-    refitted += [present] if present is not None else []
-    refitted = [
-        one
-        for one in refitted
-        if not on_a_bound(problem, one.causes[-1]) and not is_nothing(problem, one.causes[-1])
-    ]
-    members = [
-        Member(
-            one,
-            log_evidence(problem, one, base, settings.prior_scales),
-            pool.log_prior(one.causes[-1]),
-        )
-        for one in refitted
-    ]
-    return posterior_of(base, members)
-
-
-def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:
-    """Return what the linear problem finds more probable than none in noise of known power."""
-    return [item for item in screened if item.likelihood + pool.log_prior(item.cause) > 0.0]
