@@ -9,7 +9,6 @@ import pytest
 
 from waferbot_twin.diagnosis.inference import search
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 
 
 def hypothesis(*names):
@@ -45,8 +44,11 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     monkeypatch.setattr(search, 'ask_on', ask_on)
     monkeypatch.setattr(
         search,
-        '_ask_again',
+        'ask_again',
         lambda pool, found, effects, most: (hypothesis(*left.pop(0)), effects, 0),
+    )
+    monkeypatch.setattr(
+        search, 'beside_rival_models', lambda pool, found, effects, most: (found, effects, 0)
     )
     monkeypatch.setattr(
         search, 'without_feigned', lambda pool, found, effects: (found, effects, [])
@@ -65,36 +67,3 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     assert not forward
     assert not left
     assert {cause.name for cause in found.causes} >= {'friction'}
-
-
-def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
-    """The second becomes another one: the first is asked for again, the third was asked beside it."""
-    told = []
-
-    def effect_of(found):
-        return SingleEffect((Member(found, 9.0, 0.0, 1.0),), 1e-3)
-
-    def posterior(pool, base, rivals, present):
-        name = present.causes[-1].name
-        told.append(name)
-        return effect_of(hypothesis('another') if name == 'second' else present)
-
-    def with_last(problem, found, name):
-        names = sorted((cause.name for cause in found.causes), key=lambda one: one == name)
-        return hypothesis(*names)
-
-    def fitted_on(pool, found, causes):
-        return hypothesis('first', 'third', 'another')
-
-    monkeypatch.setattr(search, 'with_last', with_last)
-    monkeypatch.setattr(search, 'without_by_linear', lambda problem, present, name: None)
-    monkeypatch.setattr(search, 'posterior_beside', posterior)
-    monkeypatch.setattr(search, 'fitted_together', fitted_on)
-    monkeypatch.setattr(search, 'evident', lambda pool, found, effects: (found, list(effects)))
-    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'])
-    names = ('first', 'second', 'third')
-    effects = [effect_of(hypothesis(name)) for name in names]
-    _, left, asked = search._ask_again(pool, hypothesis(*names), effects, 24)
-    assert told == ['first', 'second', 'third', 'first']
-    assert {one.best.cause.name for one in left} == {'first', 'another', 'third'}
-    assert asked == 4

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How often each effect is asked for anew."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from waferbot_twin.diagnosis.inference import revision
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
+
+
+def hypothesis(*names):
+    return SimpleNamespace(causes=tuple(SimpleNamespace(name=name) for name in names))
+
+
+def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
+    """The second becomes another one: the first is asked for again, the third was asked beside it."""
+    told = []
+
+    def effect_of(found):
+        return SingleEffect((Member(found, 9.0, 0.0, 1.0),), 1e-3)
+
+    def posterior(pool, base, rivals, present):
+        name = present.causes[-1].name
+        told.append(name)
+        return effect_of(hypothesis('another') if name == 'second' else present)
+
+    def with_last(problem, found, name):
+        names = sorted((cause.name for cause in found.causes), key=lambda one: one == name)
+        return hypothesis(*names)
+
+    def fitted_on(pool, found, causes):
+        return hypothesis('first', 'third', 'another')
+
+    monkeypatch.setattr(revision, 'with_last', with_last)
+    monkeypatch.setattr(revision, 'without_by_linear', lambda problem, present, name: None)
+    monkeypatch.setattr(revision, 'posterior_beside', posterior)
+    monkeypatch.setattr(revision, 'fitted_together', fitted_on)
+    monkeypatch.setattr(revision, 'evident', lambda pool, found, effects: (found, list(effects)))
+    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'])
+    names = ('first', 'second', 'third')
+    effects = [effect_of(hypothesis(name)) for name in names]
+    _, left, asked = revision.ask_again(pool, hypothesis(*names), effects, 24)
+    assert told == ['first', 'second', 'third', 'first']
+    assert {one.best.cause.name for one in left} == {'first', 'another', 'third'}
+    assert asked == 4

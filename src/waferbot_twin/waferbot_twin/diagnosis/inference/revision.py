@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every effect asked for anew beside all others: early choices are revised when these are known."""
+
+from __future__ import annotations
+
+from waferbot_lockstep.errors import UserError
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
+from waferbot_twin.diagnosis.inference.forward_selection import fitted_together, posterior_beside
+from waferbot_twin.diagnosis.inference.refit import with_last
+from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.estimation.conditional import without_by_linear
+from waferbot_twin.estimation.hypothesis import Hypothesis
+
+PASSES = 2
+"""How often at most every effect is asked for anew."""
+
+
+def ask_again(
+    pool: CandidatePool, found: Hypothesis, effects: list[SingleEffect], most: int
+) -> tuple[Hypothesis, list[SingleEffect], int]:
+    """
+    Ask for every effect anew beside all others until none changes, so many times at `most`.
+
+    Beside the same others each is asked for once. Which one it is, that is: what no other candidate can
+    do in its place stays as it is. Whether there is any is left to elimination, before or, if anything
+    is another one, in the end; so the model without an effect may be the one that the linear problem
+    has. Return how often was asked, too.
+    """
+    left, moved = most, False
+    asked = set[str]()
+    for _ in range(PASSES if len(effects) > 1 else 0):
+        changed = False
+        for effect in list(effects):
+            if left <= 0:
+                break
+            name = effect.best.cause.name
+            if name in asked:
+                continue
+            asked.add(name)
+            present = with_last(pool.problem, found, name)
+            rivals = pool.in_place_of(present)
+            if not rivals:
+                continue
+            left -= 1
+            try:
+                base = without_by_linear(pool.problem, present, name)
+            except UserError:
+                continue
+            again = posterior_beside(pool, base, rivals, present)
+            if again is None:
+                continue
+            place = next(number for number, one in enumerate(effects) if one is effect)
+            rest = [*effects[:place], *effects[place + 1 :]]
+            again = with_odds(again, log_odds_at(effect.inclusion))
+            if again.best.cause.name != name:
+                changed, asked = True, {again.best.cause.name}
+            if again.best.found is not present:
+                moved = True
+                found = fitted_together(pool, again.best.found, again.best.found.causes)
+            effects = [*rest[:place], again, *rest[place:]]
+        if not changed:
+            break
+    if moved:  # else they have just been judged beside one another
+        found, effects = evident(pool, found, effects)
+    by_name = {cause.name: place for place, cause in enumerate(found.causes)}
+    effects.sort(key=lambda effect: by_name[effect.best.cause.name])
+    return found, effects, most - left
