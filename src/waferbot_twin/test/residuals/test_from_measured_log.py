@@ -18,9 +18,17 @@ from hypothesis import strategies as st
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.proposals.cogging_orders import orders_of
+from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.proposals.cogging_orders import (
+    at_orders,
+    log_prior_of_orders,
+    orders_of,
+)
+from waferbot_twin.diagnosis.proposals.screening import screen, signatures
 from waferbot_twin.effects import find, places
+from waferbot_twin.effects.cogging import with_orders
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.logs.archive import write_archive
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model_or_machine
@@ -33,7 +41,7 @@ from waferbot_twin.residuals.from_measured_log import (
 )
 from waferbot_twin.residuals.load import load_record
 from waferbot_twin.residuals.plant_block import PlantBlock
-from waferbot_twin.residuals.problem import Problem
+from waferbot_twin.residuals.problem import Cause, Problem
 
 INERTIA = 2.5e-4  # kg m2, of the direct-drive motor
 COUNTS = 8192.0 / (2.0 * math.pi)
@@ -153,14 +161,54 @@ def test_orders_of_cogging_come_out_of_the_residual(random, motor) -> None:
     assert orders_of(motor, [block]) == {AXIS: tuple(orders)}
 
 
-def test_no_orders_without_cogging(random, motor) -> None:
-    for _ in range(3):
+def test_orders_are_sought_beside_what_is_known(random, motor) -> None:
+    """Friction that falls with speed hides the weaker lines as long as nobody knows it."""
+    orders = {7: 0.02, 12: 0.006, 36: 0.004}
+
+    def forces(angle, speed):
+        held = [size * np.cos(order * angle + order) for order, size in orders.items()]
+        return sum(held) + 0.15 * np.sign(speed) * np.exp(-((speed / 3.0) ** 2))
+
+    problem = Problem(motor, [record_of_measured_log(log_of(random, forces, 1e-3), motor)])
+    friction = Cause(find('stribeck_friction'), AXIS, {'breakaway': 0.15, 'speed': 3.0})
+    found = []
+    for causes in ((), (friction,)):
+        tuned = at_orders(problem, evaluate(problem, causes), {AXIS})
+        found.append([{int(name.split('_')[1]) for name in one.values} for one in tuned])
+    assert set(orders) not in found[0]
+    # The strongest alone, then with the next, then all.
+    assert [len(some) for some in found[1]] == [1, 2, 3]
+    assert found[1][0] == {7}
+    assert found[1][-1] == set(orders)
+    assert at_orders(problem, evaluate(problem, ()), set()) == []
+
+
+def test_no_orders_are_worth_choosing_without_cogging(random, motor) -> None:
+    """Friction and rounding feign a weak line now and then: too weak for an order that was chosen."""
+    for _ in range(8):
         log = log_of(random, lambda angle, speed: 0.02 * np.sign(speed) + 1e-4 * speed)
         noise = 2e-4 * random.standard_normal(len(log[AXIS, 'force'].value))
         force = replace(log[AXIS, 'force'], value=log[AXIS, 'force'].value + noise)
         noisy = MeasuredLog('log', (log[AXIS, 'position'], force))
-        block = PlantBlock(record_of_measured_log(noisy, motor), motor)
-        assert orders_of(motor, [block]) == {}
+        problem = Problem(motor, [record_of_measured_log(noisy, motor)])
+        base = evaluate(problem, ())
+        tuned = at_orders(problem, base, {AXIS})
+        changes = signatures(problem, base, tuned, 1, lambda stage, done, total: None)
+        for item in screen(problem, base, tuned, changes, [], Settings().prior_scales):
+            assert item.likelihood + log_prior_of_orders(motor, item.cause) < 0.0
+
+
+def test_any_orders_of_so_many_are_as_probable_as_others(motor) -> None:
+    """16 orders for each of 7 pole pairs: one of 112, two of 112 * 111 / 2; the library's are given."""
+
+    def cogging(*orders):
+        effect = with_orders({AXIS: orders})
+        return Cause(effect, AXIS, effect.typical(motor, AXIS))
+
+    assert log_prior_of_orders(motor, cogging(7)) == pytest.approx(-math.log(112.0))
+    assert log_prior_of_orders(motor, cogging(7, 12)) == pytest.approx(-math.log(6216.0))
+    of_library = Cause(find('cogging'), AXIS, find('cogging').typical(motor, AXIS))
+    assert log_prior_of_orders(motor, of_library) == 0.0
 
 
 @settings(deadline=None)  # the first one compiles

@@ -58,3 +58,40 @@ def test_several_causes_may_do_what_a_force_without_a_name_does(
     chosen, _, more = forward_selection._by_names(pool, hypothesis(), first, 3)
     assert [one.best.cause.name for one in chosen] == taken
     assert more == asked
+
+
+@pytest.mark.parametrize(
+    ('orders', 'log_odds', 'kept'),
+    [
+        ({7: 0.0, 42: 0.0}, 9.0, {'cosine_7', 'cosine_42'}),
+        ({7: 0.0, 42: 0.0}, -1.0, {'cosine_7'}),  # more lines, and not worth them
+        ({7: 0.0}, 9.0, {'cosine_7'}),  # the same lines: nothing is fitted
+        ({}, 9.0, {'cosine_7'}),
+    ],
+)
+def test_cogging_has_the_orders_that_show_beside_the_other_causes(
+    monkeypatch, orders, log_odds, kept
+):
+    def cause(name, values):
+        values = {f'cosine_{order}': size for order, size in values.items()}
+        return SimpleNamespace(name=name, effect=SimpleNamespace(name=name), values=values)
+
+    friction, ripple = cause('friction', {}), cause('cogging', {7: 0.1})
+    found = SimpleNamespace(causes=(friction, ripple))
+    tuned = [SimpleNamespace(cause=cause('cogging', orders))] if orders else []
+    fits = lambda base, items, known: [SimpleNamespace(causes=(friction, items[0].cause))]  # noqa: E731
+    monkeypatch.setattr(forward_selection, 'measured_by_others', lambda problem: ['a log'])
+    monkeypatch.setattr(forward_selection, 'with_last', lambda problem, found, name: found)
+    monkeypatch.setattr(forward_selection, 'evaluate', lambda problem, causes: None)
+    monkeypatch.setattr(forward_selection, 'Refits', lambda problem, progress: fits)
+    monkeypatch.setattr(forward_selection, 'log_odds_between', lambda pool, one, other: log_odds)
+    monkeypatch.setattr(forward_selection, 'fitted_together', lambda pool, found, causes: found)
+    pool = SimpleNamespace(
+        problem=None,
+        progress=None,
+        with_orders=lambda present: tuned,
+        signatures_of=lambda present: [{}, {}],
+    )
+    result = forward_selection._with_their_orders(pool, found)
+    assert set(result.causes[-1].values) == kept
+    assert result.causes[0] is friction

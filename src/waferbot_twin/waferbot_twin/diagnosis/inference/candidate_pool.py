@@ -25,6 +25,11 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.refit import Refits
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.proposals.cogging_orders import (
+    at_orders,
+    has_orders,
+    log_prior_of_orders,
+)
 from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
 from waferbot_twin.diagnosis.proposals.periodogram import at_tones
@@ -138,13 +143,14 @@ class CandidatePool:
         Return ln of the prior odds of a candidate against none.
 
         `expected_causes` over the number of candidates, and over the ways in which this one may be
-        made (teeth, poles, a turn: one of its orders is true); even odds that a machine is a little off
-        in everything.
+        made (teeth, poles, a turn: one of its orders is true; or some of all that are looked for); even
+        odds that a machine is a little off in everything.
         """
         if is_nuisance(cause):
             return 0.0
         ways = self._ways.get(cause.name, 1)
-        return math.log(self.settings.expected_causes / (len(self.names) * ways))
+        alike = math.log(self.settings.expected_causes / (len(self.names) * ways))
+        return alike + log_prior_of_orders(self.problem.nominal, cause)
 
     def begin(self, base: Hypothesis) -> None:
         """
@@ -221,7 +227,11 @@ class CandidatePool:
             return signatures(problem, base, causes, self.workers, self.progress)
 
         told_apart = [one for one in self._told_apart(base) if one.name not in taken]
-        tuned = [*at_tones(problem, base, rivals), *at_periods(problem, base, rivals)]
+        tuned = [
+            *at_tones(problem, base, rivals),
+            *at_periods(problem, base, rivals),
+            *at_orders(problem, base, {one.axis for one in rivals if has_orders(one)}),
+        ]
         return _best_first(
             [
                 *self._promises(base, again, found_anew, base.causes),
@@ -229,6 +239,25 @@ class CandidatePool:
                 *self._promises(base, [*told_apart, *tuned], found_anew, base.causes),
                 *self._rings(base, rivals),
             ]
+        )
+
+    def with_orders(self, found: Hypothesis) -> list[Screened]:
+        """
+        Return the last cause of a hypothesis, cogging, with the orders that stand out beside the others.
+
+        With linear fits, best first.
+        """
+        base = evaluate(self.problem, found.causes[:-1])
+        tuned = at_orders(self.problem, base, {found.causes[-1].axis})
+        changes = signatures(self.problem, base, tuned, self.workers, self.progress)
+        return screen(
+            self.problem,
+            base,
+            tuned,
+            changes,
+            self.signatures_of(found)[:-1],
+            self.settings.prior_scales,
+            self.workers,
         )
 
     def in_place_of(self, found: Hypothesis) -> list[Screened]:

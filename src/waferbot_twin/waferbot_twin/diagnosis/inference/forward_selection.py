@@ -14,11 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
+    Refits,
     begun_elsewhere,
     fitted,
     fitted_on,
@@ -32,10 +34,12 @@ from waferbot_twin.diagnosis.inference.single_effects import (
     posterior_of,
     with_odds,
 )
+from waferbot_twin.diagnosis.proposals.cogging_orders import has_orders, measured_by_others
 from waferbot_twin.diagnosis.proposals.screening import Screened, at_its_sizes, untempered
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
+    evaluate,
     is_nothing,
     lets_go,
     on_a_bound,
@@ -118,11 +122,36 @@ def ask_on(
         names = {cause.name for cause in found.causes}
         along |= {one.name for one in first}
         tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
+        found = _with_their_orders(pool, found)
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     return *evident(pool, found, effects, tentative), wanted, asked
+
+
+def _with_their_orders(pool: CandidatePool, found: Hypothesis) -> Hypothesis:
+    """
+    Return a hypothesis whose cogging has the orders that its logs show beside the other causes.
+
+    When it was added others lacked, and hid lines or took their place.
+    """
+    for cause in found.causes if measured_by_others(pool.problem) else ():
+        if not has_orders(cause):
+            continue
+        present = with_last(pool.problem, found, cause.name)
+        try:
+            tuned = pool.with_orders(present)
+        except UserError:  # the machine does not stand without it
+            continue
+        if not tuned or tuned[0].cause.values.keys() == cause.values.keys():
+            continue
+        known = pool.signatures_of(present)[:-1]
+        base = evaluate(pool.problem, present.causes[:-1])
+        for one in Refits(pool.problem, pool.progress)(base, tuned[:1], known):
+            if log_odds_between(pool, one, found) > 0.0:
+                found = fitted_together(pool, one, one.causes)
+    return found
 
 
 def _begun_elsewhere(pool: CandidatePool, found: Hypothesis) -> Hypothesis:
@@ -168,14 +197,22 @@ def _by_names(
 
 
 def log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -> float:
-    """Return ln of the posterior odds of one hypothesis against another, whatever causes each has."""
+    """
+    Return ln of the posterior odds of one hypothesis against another, whatever causes each has.
+
+    A cause with other parameters is another one.
+    """
     problem, scales = pool.problem, pool.settings.prior_scales
-    both = {cause.name for cause in one.causes} & {cause.name for cause in other.causes}
+
+    def what(cause: Cause) -> tuple[str, frozenset[str]]:
+        return cause.name, frozenset(cause.values)
+
+    both = {what(cause) for cause in one.causes} & {what(cause) for cause in other.causes}
 
     def own(hypothesis: Hypothesis) -> float:
-        total = log_prior(problem, [item for item in hypothesis.causes if item.name in both])
+        total = log_prior(problem, [item for item in hypothesis.causes if what(item) in both])
         for place, cause in enumerate(hypothesis.causes):
-            if cause.name not in both:
+            if what(cause) not in both:
                 known = information_of(problem, hypothesis, place)
                 own_scales = scales_of(problem, cause, scales)
                 total += log_occam(cause, parameters_of(problem, cause), known, own_scales)

@@ -24,21 +24,26 @@ would explain the log as well: a wrong force constant is not allowed for here.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.signal import bilinear, lfilter
 
 from waferbot_twin.effects import places
-from waferbot_twin.effects.cogging import period
+from waferbot_twin.effects.cogging import NAME, period, with_orders
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import autoregression
 from waferbot_twin.residuals.plant_block import OBSERVER_DAMPING, PlantBlock
+from waferbot_twin.residuals.problem import PLANT, Cause, Problem
 from waferbot_twin.residuals.record import Array
 
 ORDERS_PER_CYCLE = 16
 """Highest order that is looked for, per electrical cycle."""
+
+SLOW = 0.5
+"""Share of the way on which a line has two samples in a period at least."""
 
 MOST_ORDERS = 250
 MOST_LINES = 10
@@ -47,18 +52,71 @@ MOST_LINES = 10
 def orders_of(variant: Variant, blocks: Sequence[PlantBlock]) -> dict[str, tuple[int, ...]]:
     """Return the orders of each axis that the residuals of the logs show, axes without any left out."""
     residuals = [dict(zip(b.channels, b.residuals(variant), strict=True)) for b in blocks]
-    found = {}
-    for axis in places.motor_axes(variant):
-        encoder = places.position_encoder(variant, axis)
-        parts = [
-            _Part(variant, axis, block, own[encoder])
-            for block, own in zip(blocks, residuals, strict=True)
-            if encoder in own
-        ]
-        orders = _lines(parts, _candidates(variant, axis, parts)) if parts else ()
-        if orders:
-            found[axis] = tuple(sorted(orders))
+    every = {
+        axis: _orders(variant, axis, blocks, residuals) for axis in places.motor_axes(variant)
+    }
+    return {axis: tuple(sorted(orders)) for axis, orders in every.items() if orders}
+
+
+def at_orders(problem: Problem, base: Hypothesis, axes: Collection[str]) -> list[Cause]:
+    """
+    Return cogging with the orders that stand out in what a hypothesis leaves over, none of it yet.
+
+    With the strongest line alone, with two, and so on: beside the others a weak one may be none. Of
+    imported logs; the twin's own machine has the orders that the library tries.
+    """
+    blocks = measured_by_others(problem)
+    left = iter(base.residuals[PLANT])
+    own = {id(block): dict(zip(block.channels, left, strict=False)) for block in problem.plants}
+    residuals = [own[id(block)] for block in blocks]
+    nominal = problem.nominal
+    found = []
+    for axis in sorted(axes) if blocks else ():
+        orders = _orders(nominal, axis, blocks, residuals)
+        for count in range(1, len(orders) + 1):
+            effect = with_orders({axis: tuple(sorted(orders[:count]))})
+            none = {item.name: 0.0 for item in effect.parameters(nominal, axis)}
+            found.append(Cause(effect, axis, none))
     return found
+
+
+def log_prior_of_orders(variant: Variant, cause: Cause) -> float:
+    """
+    Return ln of the prior probability of the orders of a cause, 0 where the library says them.
+
+    Any k of the M that are looked for on a machine are as probable as any other: 1 / (M over k).
+    """
+    if not has_orders(cause) or 'order' in cause.values:
+        return 0.0
+    count = len(cause.values) // 2
+    every = max(math.floor(ORDERS_PER_CYCLE * _cycles(variant, cause.axis)), count)
+    return -math.log(math.comb(every, count))
+
+
+def has_orders(cause: Cause) -> bool:
+    """Return whether a cause is a force with orders over the turns of a motor."""
+    return cause.effect.name == NAME
+
+
+def measured_by_others(problem: Problem) -> list[PlantBlock]:
+    """Return the plants of imported logs."""
+    return [block for block in problem.plants if block.record.current is not None]
+
+
+def _orders(
+    variant: Variant,
+    axis: str,
+    blocks: Sequence[PlantBlock],
+    residuals: Sequence[Mapping[str, Array]],
+) -> tuple[int, ...]:
+    """Return the orders that residuals of an axis, by channel in each log, show; strongest first."""
+    encoder = places.position_encoder(variant, axis)
+    parts = [
+        _Part(variant, axis, block, own[encoder])
+        for block, own in zip(blocks, residuals, strict=True)
+        if encoder in own
+    ]
+    return tuple(_lines(parts, _candidates(variant, axis, parts))) if parts else ()
 
 
 class _Part:
@@ -100,27 +158,39 @@ def _force_to_innovation(observer_hz: float, time_s: Array) -> tuple[Array, Arra
 def _candidates(variant: Variant, axis: str, parts: Sequence[_Part]) -> list[int]:
     """Return the orders that the travel of the logs can show."""
     travel = max(float(np.ptp(part.turns)) for part in parts)
-    cycles = abs(variant.description.motors[axis].electrical_gain) * period(variant, axis)
-    cycles /= 2.0 * math.pi
+    cycles = _cycles(variant, axis)
     if travel * cycles < 1.0:
         return []
     step = max(1, round(0.6 / travel))
-    # Two samples in a period at least, at the usual speed.
-    fastest = max(float(np.percentile(np.abs(np.diff(part.turns)), 90.0)) for part in parts)
-    highest = min(ORDERS_PER_CYCLE * cycles, MOST_ORDERS * step, 0.4 / max(fastest, 1e-9))
+    # Two samples in a period at least where the axis is slow: there a line shows most.
+    slow = min(_slow(part.turns) for part in parts)
+    highest = min(ORDERS_PER_CYCLE * cycles, MOST_ORDERS * step, 0.5 / max(slow, 1e-9))
     return list(range(step, int(highest) + 1, step))
 
 
+def _cycles(variant: Variant, axis: str) -> float:
+    """Return how many electrical cycles there are in what orders count from."""
+    gain = abs(variant.description.motors[axis].electrical_gain)
+    return gain * period(variant, axis) / (2.0 * math.pi)
+
+
+def _slow(turns: Array) -> float:
+    """Return the speed, turns per sample, below which `SLOW` of the way is made."""
+    speeds = np.sort(np.abs(np.diff(turns)))
+    way = np.cumsum(speeds)
+    return float(speeds[np.searchsorted(way, SLOW * way[-1])])
+
+
 def _lines(parts: Sequence[_Part], candidates: Sequence[int]) -> list[int]:
-    """Return the orders that pay for themselves."""
+    """Return the orders that pay for themselves, the strongest first."""
     lines = _strongest(parts, candidates)
     while lines:
         worth = _worth(parts, lines)
-        weakest = min(lines, key=lambda order: worth[order])
+        lines.sort(key=lambda order: -worth[order])
         samples = sum(len(part.residual) for part in parts)
-        if worth[weakest] > 2.0 * math.log(samples) + 4.0 * math.log(len(candidates)):
+        if worth[lines[-1]] > 2.0 * math.log(samples) + 4.0 * math.log(len(candidates)):
             break
-        lines.remove(weakest)
+        lines.pop()
     return lines
 
 

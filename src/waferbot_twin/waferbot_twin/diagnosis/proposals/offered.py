@@ -14,7 +14,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import AXES
 from waferbot_twin.diagnosis.proposals.coarseness import coarser_steps
-from waferbot_twin.diagnosis.proposals.cogging_orders import orders_of
+from waferbot_twin.diagnosis.proposals.cogging_orders import measured_by_others, orders_of
 from waferbot_twin.diagnosis.proposals.folded_back import folded_back
 from waferbot_twin.effects import (
     coarse_quantisation,
@@ -63,5 +63,5 @@ def _cogging_of_imported_logs(problem: Problem) -> list[Effect]:
 
     The twin's own machine has the orders that the library tries.
     """
-    imported = [block for block in problem.plants if block.record.current is not None]
+    imported = measured_by_others(problem)
     return [cogging.with_orders(orders_of(problem.nominal, imported))] if imported else []
