@@ -57,7 +57,7 @@ def beside_rival_models(
                 ahead = there, its_effects
                 break
             pool.note_noise_of(found)
-            effects = _beside(effects, name, rival, there, log_odds)
+            effects = _beside(effects, found, there, log_odds)
         if ahead is None:
             return found, effects, most - left
         found, effects, asked = ask_again(pool, *ahead, left)
@@ -98,26 +98,23 @@ def _may_catch_up(pool: CandidatePool, found: Hypothesis, rival: Member) -> bool
 
 
 def _beside(
-    effects: Sequence[SingleEffect],
-    name: str,
-    rival: Member,
-    there: Hypothesis,
-    log_odds: float,
+    effects: Sequence[SingleEffect], found: Hypothesis, there: Hypothesis, log_odds: float
 ) -> list[SingleEffect]:
     """
-    Return effects as sure as another model leaves them, in which a rival took one's place at first.
+    Return effects as sure as another model leaves them; `log_odds` are its odds against this one.
 
-    Where the rival stayed, it is a member of the effect `name`; what else only this model has is as
-    probable as this model. `log_odds` are those of the other one against it, equation (1).
+    What only this model has is as probable as this model. Where the other one has something else that
+    may be in the place of an effect, that is a member of the effect, so probable; where not, there may
+    be no such effect at all.
     """
-    names = {cause.name for cause in there.causes}
+    here, its = ({cause.name for cause in one.causes} for one in (found, there))
     result = []
     for effect in effects:
-        own = effect.best.cause.name
-        if own in names or is_nuisance(effect.best.cause):
+        rivals = [one for one in effect.members[1:] if one.cause.name in its - here]
+        if effect.best.cause.name in its or is_nuisance(effect.best.cause):
             result.append(effect)
-        elif own == name and rival.cause.name in names:
-            result.append(_with_member(effect, rival, math.exp(log_odds)))
+        elif rivals:
+            result.append(_with_member(effect, rivals[0], math.exp(log_odds)))
         else:
             result.append(with_odds(effect, min(effect.log_odds, -log_odds)))
     return result
