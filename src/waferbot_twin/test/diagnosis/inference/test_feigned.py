@@ -7,7 +7,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference import feigned
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
@@ -51,37 +50,30 @@ def test_the_least_evident_goes_first_and_the_others_are_judged_without_it(monke
 
 
 @pytest.mark.parametrize(
-    ('linear', 'fitted', 'odds'),
+    ('gained', 'odds'),
     [
-        (8.0, None, 8.0),  # plain without a fit
-        (-2.0, 7.0, 7.0),  # the linear problem was wrong of the others
-        (-2.0, -4.0, -4.0),  # it was right
-        (UserError('blew up'), 3.0, 3.0),
-        (None, None, 6.0),  # the command tells nothing: as by the logs
-        (-2.0, UserError('blew up'), 6.0),
+        (9.0, 9.0 - 1.0 - 4.0),  # what the command shows, less what the cause costs, and its prior
+        (None, 6.0),  # the command tells nothing: as by the logs
     ],
 )
-def test_a_model_without_a_cause_is_fitted_where_the_linear_problem_would_take_the_name_away(
-    monkeypatch, linear, fitted, odds
-):
-    def given(answer):
-        if isinstance(answer, UserError):
-            raise answer
-        return answer
-
+def test_a_cause_is_asked_beside_the_others_of_the_hypothesis(monkeypatch, gained, odds):
     asked = []
-    more = SimpleNamespace(causes=(SimpleNamespace(name='friction'), SimpleNamespace(name='play')))
-    monkeypatch.setattr(feigned, 'with_last', lambda problem, found, name: more)
-    monkeypatch.setattr(feigned, 'without_by_linear', lambda problem, more, name: given(linear))
-
-    def without(problem, more, gone, workers, signatures):
-        asked.append(sorted(signatures))
-        return given(fitted)
-
-    monkeypatch.setattr(feigned, 'without', without)
-    monkeypatch.setattr(feigned, 'instrumented_gain', lambda problem, base, more, noise_free: base)
+    play, friction = (SimpleNamespace(name=name) for name in ('play', 'friction'))
+    found = Member(SimpleNamespace(causes=(play, friction)), 0.0, 0.0).found
     monkeypatch.setattr(
-        feigned, 'log_evidence', lambda problem, more, base, scales, gained: gained
+        feigned,
+        'with_last',
+        lambda problem, found, name: SimpleNamespace(causes=(friction, play)),
+    )
+    monkeypatch.setattr(feigned, 'replace', lambda more, causes: SimpleNamespace(causes=causes))
+
+    def instrumented_gain(problem, more, of_others, noise_free, there):
+        asked.append((more.causes[-1].name, of_others, there))
+        return gained
+
+    monkeypatch.setattr(feigned, 'instrumented_gain', instrumented_gain)
+    monkeypatch.setattr(
+        feigned, 'log_evidence', lambda problem, more, base, scales, gained: gained - 1.0
     )
     monkeypatch.setattr(
         feigned, 'log_odds_beside_noise', lambda by_logs, by_command, prior: by_command
@@ -89,9 +81,9 @@ def test_a_model_without_a_cause_is_fitted_where_the_linear_problem_would_take_t
     known = SimpleNamespace(
         problem=None,
         settings=Settings(),
-        workers=1,
-        log_prior=lambda cause: 0.0,
-        signatures_of=lambda found: [{}, {}],
+        log_prior=lambda cause: -4.0,
+        signatures_of=lambda found: ['of play', 'of friction'],
     )
-    assert feigned._log_odds(known, more, 'play', 6.0, None) == odds
-    assert asked == ([] if linear == 8.0 else [['friction', 'play']])
+    there = ['of play there', 'of friction there']
+    assert feigned._log_odds(known, found, 'play', 6.0, None, there) == odds
+    assert asked == [('play', ['of friction'], ['of friction there'])]

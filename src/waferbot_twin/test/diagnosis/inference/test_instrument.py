@@ -15,12 +15,13 @@ from waferbot_twin.diagnosis.inference.instrument import (
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
+    signatures_in,
 )
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.estimation.evidence import gain
-from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.gauss_newton import all_signatures, fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
@@ -48,7 +49,10 @@ def gained(mismatch):
     base = evaluate(problem, (known,))
     begun = lines.with_values({'line_1': 0.0, 'line_2': 0.0})
     more = fit_causes(problem, (known, begun))
-    return gain(more, base), instrumented_gain(problem, base, more, noise_free_logs(problem, more))
+    noise_free = noise_free_logs(problem, more)
+    of_gearbox = all_signatures(problem, more)[:1]
+    there = signatures_in(noise_free, more)[:1]
+    return gain(more, base), instrumented_gain(problem, more, of_gearbox, noise_free, there)
 
 
 @pytest.mark.parametrize('mismatch', [0.0, 0.01])

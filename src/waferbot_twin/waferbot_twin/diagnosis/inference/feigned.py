@@ -10,6 +10,7 @@ cause and judged again, until none is less probable than not.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from joblib import Parallel, delayed
 
@@ -20,12 +21,13 @@ from waferbot_twin.diagnosis.inference.instrument import (
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
+    signatures_in,
 )
 from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
-from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.evidence import log_evidence
 from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Problem
 
 
@@ -57,14 +59,17 @@ def _judged(
     """Return effects with their odds beside what noise may feign; as they are where none is known."""
     try:
         noise_free = noise_free_logs(pool.problem, found) if effects else None
+        if noise_free is None:
+            return list(effects)
+        in_noise_free = signatures_in(noise_free, found, pool.workers)
     except UserError:
-        noise_free = None
-    if noise_free is None:
         return list(effects)
     known = pool.judged(found)
     parallel = Parallel(n_jobs=pool.workers, return_as='generator', batch_size=1)
     tasks = (
-        delayed(_log_odds)(known, found, one.best.cause.name, one.log_odds, noise_free)
+        delayed(_log_odds)(
+            known, found, one.best.cause.name, one.log_odds, noise_free, in_noise_free
+        )
         for one in effects
     )
     result = []
@@ -75,35 +80,28 @@ def _judged(
 
 
 def _log_odds(
-    known: Judged, found: Hypothesis, name: str, by_logs: float, noise_free: Problem
+    known: Judged,
+    found: Hypothesis,
+    name: str,
+    by_logs: float,
+    noise_free: Problem,
+    in_noise_free: Sequence[Signature],
 ) -> float:
     """
     Return ln of the odds of a cause beside what noise may feign, those by the logs if none are known.
 
-    Of the model without the cause as the linear problem has it, and where that would take the name away,
-    as it is fitted, with the signatures of `found`, which hold near it.
+    `in_noise_free` is what the causes of `found` change in the noise-free logs.
     """
     problem = known.problem
     more = with_last(problem, found, name)
-    prior = known.log_prior(more.causes[-1])
-
-    def beside(base: Hypothesis) -> float | None:
-        gained = instrumented_gain(problem, base, more, noise_free)
-        if gained is None:
-            return None
-        evidence = log_evidence(problem, more, base, known.settings.prior_scales, gained)
-        return log_odds_beside_noise(by_logs, evidence + prior, prior)
-
-    try:
-        odds = beside(without_by_linear(problem, more, name))
-        if odds is not None and odds > log_odds_at(known.settings.named_from):
-            return odds
-    except UserError:
-        pass
-    names = [cause.name for cause in found.causes]
-    signatures = dict(zip(names, known.signatures_of(found), strict=True))
-    try:
-        odds = beside(without(problem, more, [name], known.workers, signatures))
-    except UserError:
+    of_others, of_others_there = (
+        [one for one, cause in zip(some, found.causes, strict=True) if cause.name != name]
+        for some in (known.signatures_of(found), in_noise_free)
+    )
+    gained = instrumented_gain(problem, more, of_others, noise_free, of_others_there)
+    if gained is None:
         return by_logs
-    return by_logs if odds is None else odds
+    prior = known.log_prior(more.causes[-1])
+    base = replace(more, causes=more.causes[:-1])
+    evidence = log_evidence(problem, more, base, known.settings.prior_scales, gained)
+    return log_odds_beside_noise(by_logs, evidence + prior, prior)

@@ -21,10 +21,17 @@ Where the command shows a cause plainly, that is B; where noise alone does, what
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.diagnosis.proposals.screening import signatures_beside
+from waferbot_twin.estimation.conditional import conditional_errors
+from waferbot_twin.estimation.gauss_newton import all_signatures
+from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.commanded_record import as_commanded, tells_command
@@ -51,62 +58,112 @@ def log_odds_beside_noise(by_logs: float, by_command: float, log_prior: float) -
     return -float(np.logaddexp(true - by_logs, feigned - by_command))
 
 
+def signatures_in(noise_free: Problem, found: Hypothesis, workers: int = 1) -> Sequence[Signature]:
+    """
+    Return what the causes of a hypothesis change in noise-free logs, in their order.
+
+    Over the same ways as in the logs. Raises `UserError` if the model does not stand in these motions.
+    """
+    variant = apply_all(noise_free.nominal, found.causes)
+    left = {block: noise_free.residuals(variant, block) for block in noise_free.blocks}
+    quick, begun = in_quick_steps(noise_free, replace(found, residuals=left))
+    return all_signatures(quick, begun, workers, errors=conditional_errors(found))
+
+
 def instrumented_gain(
-    problem: Problem, base: Hypothesis, more: Hypothesis, noise_free: Problem
+    problem: Problem,
+    more: Hypothesis,
+    signatures: Sequence[Signature],
+    noise_free: Problem,
+    in_noise_free: Sequence[Signature],
 ) -> float | None:
     """
-    Return what the last cause of `more` gains in ln L over `base` by what the command makes it do.
+    Return what the last cause of `more` gains in ln L by what the command makes it do.
 
-    With z its change in the noise-free logs and d that in the logs, both white, and b what `base` leaves
-    over, more than it leaves in a noise-free log of its own loop (where counts are taken for motion,
-    that is not nothing), the instrument's estimate of the cause's size, 1 if the logs are right, is
-    z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the power along z of what `more` leaves
-    over less what was subtracted (`residual_spectrum.power_along`): rounding is in both. That is the
-    likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks gain. None if
-    the model does not stand in these motions.
+    What it changes is found by simulation; what the others can do of that is taken out, by least squares
+    in the linear problem (`signatures` of theirs in the logs, and in the noise-free ones). With d what
+    is left of the change in the logs, z as much of it in the noise-free ones, both white, and b what is
+    left over without the cause, more than that is in a noise-free log of its own loop (where counts are
+    taken for motion, that is not nothing), the instrument's estimate of the cause's size, 1 if the logs
+    are right, is z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the power along z of what
+    `more` leaves over less what was subtracted (`residual_spectrum.power_along`): rounding is in both.
+    That is the likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks
+    gain. None if the model does not stand in these motions.
     """
+    others = more.causes[:-1]
+    with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
     try:
-        own = problem.ideal(base.causes)
-        with_it, without = (apply_all(problem.nominal, item.causes) for item in (more, base))
-        signals = 0.0
-        left: list[Array] = []
-        along: list[Array] = []
-        colours: list[Colour] = []
-        for block, fit in more.fits.items():
-            if not any(colour.error.order for colour in fit.colours):
-                continue
-            pairs = zip(
-                noise_free.residuals(without, block),
-                noise_free.residuals(with_it, block),
-                strict=True,
+        own = problem.ideal(others)
+        fewer = {block: problem.residuals(without, block) for block in more.fits}
+        free = {
+            block: _change(
+                noise_free.residuals(without, block), noise_free.residuals(with_it, block)
             )
-            changes = in_deviations(fit.colours, [one - two for one, two in pairs])
-            before = in_deviations(fit.colours, base.residuals[block])
-            after = fit.whitened
-            if own is not None:
-                feigned = in_deviations(fit.colours, own.residuals(without, block))
-                before = [one - two for one, two in zip(before, feigned, strict=True)]
-                after = tuple(one - two for one, two in zip(after, feigned, strict=True))
-            signals += sum(float(z @ b) for z, b in zip(changes, before, strict=True))
-            left += after
-            along += changes
-            colours += fit.colours
+            for block in noise_free.blocks
+            if block in more.fits
+        }
+        feigned = {block: own.residuals(without, block) for block in free} if own else {}
     except UserError:
         return None
+    change = {block: _change(fewer[block], more.residuals[block]) for block in more.fits}
+    beside, beside_free = (
+        signatures_beside(problem, replace(more, causes=others), some)
+        for some in (signatures, in_noise_free)
+    )
+    amount = _least_squares(more, beside, change)
+    change, free = (
+        {
+            block: rows - side[block] @ amount if block in side else rows
+            for block, rows in of.items()
+        }
+        for of, side in ((change, beside), (free, beside_free))
+    )
+    signals, exact = 0.0, 0.0
+    left: list[Array] = []
+    along: list[Array] = []
+    colours: list[Colour] = []
+    for block, fit in more.fits.items():
+        channels = more.residuals[block]
+        done = in_deviations(fit.colours, by_channel(change[block], channels))
+        before = [one + two for one, two in zip(fit.whitened, done, strict=True)]
+        after = list(fit.whitened)
+        if block not in free or not any(colour.error.order for colour in fit.colours):
+            exact += sum(0.5 * float(one @ one) for one in before)
+            exact -= sum(0.5 * float(one @ one) for one in after)
+            continue
+        if block in feigned:
+            rounding = in_deviations(fit.colours, feigned[block])
+            before, after = (
+                [one - two for one, two in zip(some, rounding, strict=True)]
+                for some in (before, after)
+            )
+        caused = in_deviations(fit.colours, by_channel(free[block], channels))
+        signals += sum(float(z @ b) for z, b in zip(caused, before, strict=True))
+        left += after
+        along += caused
+        colours += fit.colours
     square = sum(float(z @ z) for z in along)
     if square == 0.0 or signals <= 0.0:
-        return _exact_gain(more, base)
-    caused = power_along(left, along, colours).log_likelihood_ratio(signals**2 / square)
-    return _exact_gain(more, base) + caused
+        return exact
+    return exact + power_along(left, along, colours).log_likelihood_ratio(signals**2 / square)
 
 
-def _exact_gain(more: Hypothesis, base: Hypothesis) -> float:
-    """Return the gain in blocks that follow to the last bit: no noise goes through them."""
-    return sum(
-        0.5 * float(one @ one) - 0.5 * float(two @ two)
-        for block, fit in more.fits.items()
-        if not any(colour.error.order for colour in fit.colours)
-        for one, two in zip(
-            in_deviations(fit.colours, base.residuals[block]), fit.whitened, strict=True
-        )
-    )
+def _change(before: Sequence[Array], after: Sequence[Array]) -> Array:
+    """Return by how much more is left over in the channels of a block, one behind the other."""
+    return np.concatenate(before) - np.concatenate(after)
+
+
+def _least_squares(found: Hypothesis, beside: Signature, change: Mapping[str, Array]) -> Array:
+    """Return how much of each parameter (k,) takes most of a change away, white in `found`'s noise."""
+    rows, right = [], []
+    for block, matrix in beside.items():
+        fit, channels = found.fits[block], found.residuals[block]
+        rows += in_deviations(fit.colours, by_channel(matrix, channels))
+        right += in_deviations(fit.colours, by_channel(change[block], channels))
+    if not rows:
+        return np.zeros(0)
+    stacked = np.concatenate(rows)
+    norms = np.linalg.norm(stacked, axis=0)
+    norms[norms == 0.0] = 1.0
+    amount = np.linalg.lstsq(stacked / norms, np.concatenate(right), rcond=None)[0] / norms
+    return np.asarray(amount)
