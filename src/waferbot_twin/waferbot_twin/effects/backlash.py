@@ -12,11 +12,12 @@ stages has its play in the first of them: which one it is makes no difference be
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from waferbot_plant.description import Connection
 from waferbot_twin.effects import places
 from waferbot_twin.effects.compliances import let_go, stage, with_law
-from waferbot_twin.effects.effect import Block, Effect, Parameter
+from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
 
 _STAGE = stage('gear', 'coupling', 'rack')
@@ -52,8 +53,10 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
     return Overlay(with_law(let_go(variant, names), names[:1], {key: values['gap']}))
 
 
+NAME = 'backlash'
+
 EFFECT = Effect(
-    'backlash',
+    NAME,
     Block.PLANT,
     'play of the drive: its gear, coupling or screw',
     _axes,
@@ -63,3 +66,15 @@ EFFECT = Effect(
     equation='F = k max(|e| - gap / 2, 0) sign(e)',
     title='backlash',
 )
+
+
+def with_gaps(gaps: Mapping[str, float]) -> Effect:
+    """Return the effect on the axes of `gaps` alone, each tried with its gap, in units of the axis."""
+
+    def trials(variant: Variant, axis: str) -> tuple[Values, ...]:
+        return ({'gap': gaps[axis]},)
+
+    def axes(variant: Variant) -> tuple[str, ...]:
+        return tuple(axis for axis in _axes(variant) if axis in gaps)
+
+    return replace(EFFECT, axes=axes, trials=trials, tried_at=())

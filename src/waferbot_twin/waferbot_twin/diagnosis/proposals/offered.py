@@ -2,8 +2,8 @@
 """
 Which effects a search is offered: the library's, with what the logs themselves show of their sizes.
 
-A fit could not find these: the step of a coarse encoder, a limit that commands have reached, the
-orders of a motor's cogging explain nothing as soon as they are a little wrong.
+A fit could not find these: the step of a coarse encoder, a limit that commands have reached, the orders
+of a motor's cogging, play between two encoders explain nothing as soon as they are a little wrong.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from waferbot_lockstep.contract import AXES
 from waferbot_twin.diagnosis.proposals.coarseness import coarser_steps
 from waferbot_twin.diagnosis.proposals.cogging_orders import measured_by_others, orders_of
 from waferbot_twin.diagnosis.proposals.folded_back import folded_back
+from waferbot_twin.diagnosis.proposals.play import gaps_of
 from waferbot_twin.effects import (
+    backlash,
     coarse_quantisation,
     cogging,
     i2t_foldback,
@@ -34,6 +36,8 @@ def offered_effects(problem: Problem, without: Sequence[str]) -> list[Effect]:
     effects[cogging.NAME] += _cogging_of_imported_logs(problem)
     steps = coarser_steps(problem.nominal, problem.records)
     effects[coarse_quantisation.NAME] = [coarse_quantisation.with_steps(steps)] if steps else []
+    gaps = gaps_of(problem.nominal, problem.records)
+    effects[backlash.NAME] += [backlash.with_gaps(gaps)] if gaps else []
     effects[output_limit.NAME] += limited_commands(problem)
     effects[i2t_foldback.NAME] += folded_back(problem)
     return [item for name, found in effects.items() if name not in without for item in found]
