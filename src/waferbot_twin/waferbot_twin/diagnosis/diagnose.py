@@ -36,6 +36,7 @@ from waferbot_twin.diagnosis.inference.nuisance import (
 )
 from waferbot_twin.diagnosis.inference.parameter_constancy import as_sure_as_constant
 from waferbot_twin.diagnosis.inference.prediction import Prediction
+from waferbot_twin.diagnosis.inference.refit import to_the_end
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Follows, Posterior, SingleEffect
@@ -50,7 +51,7 @@ from waferbot_twin.diagnosis.proposals.screening import Progress
 from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.estimation.hypothesis import Hypothesis, standard_errors
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, intervals_95
 from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
@@ -213,6 +214,7 @@ def diagnose(
     notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
+    problem, posterior = _in_fine_steps(problem, posterior, workers)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
     follows = follows_command(problem, posterior, settings)
@@ -251,6 +253,27 @@ def diagnose(
         notes,
         corrections(problem, posterior.found, numbers),
     )
+
+
+def _in_fine_steps(
+    problem: Problem, posterior: Posterior, workers: int
+) -> tuple[Problem, Posterior]:
+    """
+    Return the values of causes in fine steps of the plant, where something gives and may ring.
+
+    Of logs of a machine alone: the twin's own come of the steps in which they are simulated.
+    """
+    found = apply_all(problem.nominal, posterior.found.causes)
+    gives = any(item.flexible for item in found.description.connections.values())
+    alone = found.is_machine_alone and all(record.is_imported for record in problem.records)
+    if not (gives and alone):
+        return problem, posterior
+    fine = problem.fine()
+    try:
+        begun = evaluate(fine, posterior.found.causes)
+    except UserError:
+        return problem, posterior
+    return fine, replace(posterior, found=to_the_end(fine, begun, workers))
 
 
 def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:

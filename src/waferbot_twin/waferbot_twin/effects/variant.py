@@ -116,6 +116,11 @@ class Variant:
             between_s={**self.between_s, **overlay.between_s},
         )
 
+    def in_finer_steps(self, times: int) -> Variant:
+        """Return the variant with so many times as many steps of the plant in a tick."""
+        steps = times * int(self.machine.get('substeps', 1))
+        return replace(self, machine={**self.machine, 'substeps': steps})
+
     @cached_property
     def description(self) -> Description:
         """The machine, checked."""
