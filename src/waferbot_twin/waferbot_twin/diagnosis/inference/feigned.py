@@ -65,18 +65,36 @@ def _judged(
     except UserError:
         return list(effects)
     known = pool.judged(found)
-    parallel = Parallel(n_jobs=pool.workers, return_as='generator', batch_size=1)
+    # To send so many signatures to another process takes as long as to judge a cause: once to each.
+    parts = [effects[first :: pool.workers] for first in range(min(pool.workers, len(effects)))]
     tasks = (
-        delayed(_log_odds)(
-            known, found, one.best.cause.name, one.log_odds, noise_free, in_noise_free
+        delayed(_log_odds_of)(
+            known,
+            found,
+            [(one.best.cause.name, one.log_odds) for one in part],
+            noise_free,
+            in_noise_free,
         )
-        for one in effects
+        for part in parts
     )
-    result = []
-    for done, (effect, odds) in enumerate(zip(effects, parallel(tasks), strict=True), 1):
-        pool.progress('what noise feigns', done, len(effects))
-        result.append(effect if odds == effect.log_odds else with_odds(effect, odds))
-    return result
+    pool.progress('what noise feigns', 0, len(effects))
+    odds = dict(item for part in Parallel(n_jobs=pool.workers)(tasks) for item in part)
+    judged = [(effect, odds[effect.best.cause.name]) for effect in effects]
+    return [one if value == one.log_odds else with_odds(one, value) for one, value in judged]
+
+
+def _log_odds_of(
+    known: Judged,
+    found: Hypothesis,
+    asked: Sequence[tuple[str, float]],
+    noise_free: Problem,
+    in_noise_free: Sequence[Signature],
+) -> list[tuple[str, float]]:
+    """Return names of some causes with `_log_odds` of each, asked with those by the logs."""
+    return [
+        (name, _log_odds(known, found, name, by_logs, noise_free, in_noise_free))
+        for name, by_logs in asked
+    ]
 
 
 def _log_odds(
