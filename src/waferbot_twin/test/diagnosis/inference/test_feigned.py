@@ -12,8 +12,12 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
 
 
+def hypothesis(*names):
+    return SimpleNamespace(causes=tuple(SimpleNamespace(name=name) for name in names))
+
+
 def effect(name, odds=9.0):
-    member = Member(SimpleNamespace(causes=(SimpleNamespace(name=name),)), 0.0, 0.0, 1.0)
+    member = Member(hypothesis(name), 0.0, 0.0, 1.0)
     return with_odds(SingleEffect((member,), 0.0), odds)
 
 
@@ -33,14 +37,22 @@ def test_the_least_evident_goes_first_and_the_others_are_judged_without_it(monke
         return [with_odds(one, value) for one, value in zip(effects, odds, strict=True)]
 
     monkeypatch.setattr(feigned, '_judged', judged)
-    monkeypatch.setattr(
-        feigned, 'without', lambda problem, found, gone, workers: tuple(set(found) - set(gone))
+
+    def without(problem, found, gone, workers, known):
+        assert sorted(known) == ['friction', 'lag', 'play']
+        return hypothesis(*(cause.name for cause in found.causes if cause.name not in gone))
+
+    monkeypatch.setattr(feigned, 'without', without)
+    pool = SimpleNamespace(
+        problem=None,
+        settings=Settings(),
+        workers=1,
+        signatures_of=lambda found: [{} for _ in found.causes],
     )
-    pool = SimpleNamespace(problem=None, settings=Settings(), workers=1)
     every = [effect('friction'), effect('lag'), effect('play')]
-    found, left, gone = feigned.without_feigned(pool, ('friction', 'lag', 'play'), every)
+    found, left, gone = feigned.without_feigned(pool, hypothesis('friction', 'lag', 'play'), every)
     assert gone == ['play']
-    assert set(found) == {'friction', 'lag'}
+    assert [cause.name for cause in found.causes] == ['friction', 'lag']
     # More may be found now, and all are judged again: so they are as sure as before.
     assert [one.log_odds for one in left] == pytest.approx([9.0, 9.0])
     again, left, gone = feigned.without_feigned(pool, found, left)

@@ -50,7 +50,9 @@ def without_feigned(
         name = least.best.cause.name
         gone.append(name)
         left = [effect for effect in left if effect.best.cause.name != name]
-        found = without(pool.problem, found, [name], pool.workers)
+        names = [cause.name for cause in found.causes]
+        known = dict(zip(names, pool.signatures_of(found), strict=True))
+        found = without(pool.problem, found, [name], pool.workers, known)
 
 
 def _judged(
