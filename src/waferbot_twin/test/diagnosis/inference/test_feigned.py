@@ -62,28 +62,34 @@ def test_the_least_evident_goes_first_and_the_others_are_judged_without_it(monke
 
 
 @pytest.mark.parametrize(
-    ('gained', 'odds'),
+    ('there', 'linear', 'odds', 'asked'),
     [
-        (9.0, 9.0 - 1.0 - 4.0),  # what the command shows, less what the cause costs, and its prior
-        (None, 6.0),  # the command tells nothing: as by the logs
+        # what the command shows, less what the cause costs, and its prior
+        (19.0, 30.0, 19.0 - 1.0 - 4.0, ['there']),
+        (3.0, 12.0, 12.0 - 1.0 - 4.0, ['there', 'linear']),
+        (3.0, -2.0, 3.0 - 1.0 - 4.0, ['there', 'linear']),
+        (None, 12.0, 12.0 - 1.0 - 4.0, ['there', 'linear']),
+        (None, None, 6.0, ['there', 'linear']),  # the command tells nothing: as by the logs
     ],
 )
-def test_a_cause_is_asked_beside_the_others_of_the_hypothesis(monkeypatch, gained, odds):
-    asked = []
-    play, friction = (SimpleNamespace(name=name) for name in ('play', 'friction'))
-    found = Member(SimpleNamespace(causes=(play, friction)), 0.0, 0.0).found
-    monkeypatch.setattr(
-        feigned,
-        'with_last',
-        lambda problem, found, name: SimpleNamespace(causes=(friction, play)),
-    )
-    monkeypatch.setattr(feigned, 'replace', lambda more, causes: SimpleNamespace(causes=causes))
+def test_noise_feigns_what_both_models_without_a_cause_say(
+    monkeypatch, there, linear, odds, asked
+):
+    told = []
+    found, ordered = hypothesis('play', 'friction'), hypothesis('friction', 'play')
+    monkeypatch.setattr(feigned, 'with_last', lambda problem, found, name: ordered)
+    monkeypatch.setattr(feigned, 'replace', lambda more, causes: hypothesis())
+    monkeypatch.setattr(feigned, 'others_without', lambda problem, more, names: ())
 
-    def instrumented_gain(problem, more, of_others, noise_free, there):
-        asked.append((more.causes[-1].name, of_others, there))
-        return gained
+    def instrumented_gain(problem, more, others, noise_free, giving_way):
+        told.append('linear' if giving_way else 'there')
+        if giving_way:
+            assert others == ordered.causes[:1]
+            assert giving_way == (ordered.causes[:1], ['of friction'], ['of friction there'])
+        return linear if giving_way else there
 
     monkeypatch.setattr(feigned, 'instrumented_gain', instrumented_gain)
+    monkeypatch.setattr(feigned, 'GivingWay', SimpleNamespace(of=lambda problem, *causes: causes))
     monkeypatch.setattr(
         feigned, 'log_evidence', lambda problem, more, base, scales, gained: gained - 1.0
     )
@@ -96,6 +102,6 @@ def test_a_cause_is_asked_beside_the_others_of_the_hypothesis(monkeypatch, gaine
         log_prior=lambda cause: -4.0,
         signatures_of=lambda found: ['of play', 'of friction'],
     )
-    there = ['of play there', 'of friction there']
-    assert feigned._log_odds(known, found, 'play', 6.0, None, there) == odds
-    assert asked == [('play', ['of friction'], ['of friction there'])]
+    in_noise_free = ['of play there', 'of friction there']
+    assert feigned._log_odds(known, found, 'play', 6.0, None, in_noise_free) == odds
+    assert told == asked

@@ -12,6 +12,7 @@ import pytest
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.inference.instrument import (
+    GivingWay,
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
@@ -50,9 +51,10 @@ def gained(mismatch):
     begun = lines.with_values({'line_1': 0.0, 'line_2': 0.0})
     more = fit_causes(problem, (known, begun))
     noise_free = noise_free_logs(problem, more)
-    of_gearbox = all_signatures(problem, more)[:1]
-    there = signatures_in(noise_free, more)[:1]
-    return gain(more, base), instrumented_gain(problem, more, of_gearbox, noise_free, there)
+    others = more.causes[:1]
+    in_logs, there = all_signatures(problem, more)[:1], signatures_in(noise_free, more)[:1]
+    giving_way = GivingWay.of(problem, others, in_logs, there)
+    return gain(more, base), instrumented_gain(problem, more, others, noise_free, giving_way)
 
 
 @pytest.mark.parametrize('mismatch', [0.0, 0.01])

@@ -18,6 +18,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import (
+    GivingWay,
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
@@ -25,10 +26,11 @@ from waferbot_twin.diagnosis.inference.instrument import (
 )
 from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
+from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.evidence import log_evidence
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.estimation.stacked_least_squares import Signature
-from waferbot_twin.residuals.problem import Problem
+from waferbot_twin.residuals.problem import Cause, Problem
 
 
 def without_feigned(
@@ -110,18 +112,30 @@ def _log_odds(
     """
     Return ln of the odds of a cause beside what noise may feign, those by the logs if none are known.
 
-    `in_noise_free` is what the causes of `found` change in the noise-free logs.
+    `in_noise_free` is what the causes of `found` change in the noise-free logs. Of the model without the
+    cause as it comes where the linear problem says; where that would take the name away, as the linear
+    problem has it: far away a machine does other things. Noise feigns what both say.
     """
     problem = known.problem
     more = with_last(problem, found, name)
+    others = more.causes[:-1]
+    prior = known.log_prior(more.causes[-1])
+
+    def beside(there: tuple[Cause, ...], giving_way: GivingWay | None = None) -> float | None:
+        gained = instrumented_gain(problem, more, there, noise_free, giving_way)
+        if gained is None:
+            return None
+        base = replace(more, causes=there)
+        evidence = log_evidence(problem, more, base, known.settings.prior_scales, gained)
+        return log_odds_beside_noise(by_logs, evidence + prior, prior)
+
+    odds = beside(others_without(problem, more, {name}))
+    if odds is not None and odds > log_odds_at(known.settings.named_from):
+        return odds
     of_others, of_others_there = (
         [one for one, cause in zip(some, found.causes, strict=True) if cause.name != name]
         for some in (known.signatures_of(found), in_noise_free)
     )
-    gained = instrumented_gain(problem, more, of_others, noise_free, of_others_there)
-    if gained is None:
-        return by_logs
-    prior = known.log_prior(more.causes[-1])
-    base = replace(more, causes=more.causes[:-1])
-    evidence = log_evidence(problem, more, base, known.settings.prior_scales, gained)
-    return log_odds_beside_noise(by_logs, evidence + prior, prior)
+    again = beside(others, GivingWay.of(problem, others, of_others, of_others_there))
+    told = [one for one in (odds, again) if one is not None]
+    return max(told, default=by_logs)

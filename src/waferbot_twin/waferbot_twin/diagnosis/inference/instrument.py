@@ -22,20 +22,21 @@ Where the command shows a cause plainly, that is B; where noise alone does, what
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.proposals.screening import signatures_beside
 from waferbot_twin.estimation.conditional import conditional_errors
 from waferbot_twin.estimation.gauss_newton import all_signatures
-from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps
-from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel
+from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, parameters_of
+from waferbot_twin.estimation.size_prior import away_from_neutral, precision
+from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.commanded_record import as_commanded, tells_command
-from waferbot_twin.residuals.problem import Problem, apply_all
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 
@@ -73,25 +74,24 @@ def signatures_in(noise_free: Problem, found: Hypothesis, workers: int = 1) -> S
 def instrumented_gain(
     problem: Problem,
     more: Hypothesis,
-    signatures: Sequence[Signature],
+    others: tuple[Cause, ...],
     noise_free: Problem,
-    in_noise_free: Sequence[Signature],
+    giving_way: GivingWay | None = None,
 ) -> float | None:
     """
     Return what the last cause of `more` gains in ln L by what the command makes it do.
 
-    What it changes is found by simulation; what the others can do of that is taken out, by least squares
-    in the linear problem (`signatures` of theirs in the logs, and in the noise-free ones). With d what
-    is left of the change in the logs, z as much of it in the noise-free ones, both white, and b what is
-    left over without the cause, more than that is in a noise-free log of its own loop (where counts are
-    taken for motion, that is not nothing), the instrument's estimate of the cause's size, 1 if the logs
-    are right, is z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the power along z of what
-    `more` leaves over less what was subtracted (`residual_spectrum.power_along`): rounding is in both.
-    That is the likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative, and what exact blocks
-    gain. None if the model does not stand in these motions.
+    The model without it has `others`, and what these do besides to make up for it in the linear problem
+    (`giving_way`). With z what the cause changes in the noise-free logs and d that in the logs, both
+    white, and b what is left over without it, more than that is in a noise-free log of its own loop
+    (where counts are taken for motion, that is not nothing), the instrument's estimate of the cause's
+    size, 1 if the logs are right, is z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the
+    power along z of what `more` leaves over less what was subtracted (`residual_spectrum.power_along`):
+    rounding is in both. That is the likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative,
+    and what exact blocks gain. None if the model does not stand in these motions.
     """
-    others = more.causes[:-1]
     with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
+    blocks = [block for block in noise_free.blocks if block in more.fits]
     try:
         own = problem.ideal(others)
         fewer = {block: problem.residuals(without, block) for block in more.fits}
@@ -99,25 +99,16 @@ def instrumented_gain(
             block: _change(
                 noise_free.residuals(without, block), noise_free.residuals(with_it, block)
             )
-            for block in noise_free.blocks
-            if block in more.fits
+            for block in blocks
         }
-        feigned = {block: own.residuals(without, block) for block in free} if own else {}
+        feigned = {block: own.residuals(without, block) for block in blocks} if own else {}
     except UserError:
         return None
     change = {block: _change(fewer[block], more.residuals[block]) for block in more.fits}
-    beside, beside_free = (
-        signatures_beside(problem, replace(more, causes=others), some)
-        for some in (signatures, in_noise_free)
-    )
-    amount = _least_squares(more, beside, change)
-    change, free = (
-        {
-            block: rows - side[block] @ amount if block in side else rows
-            for block, rows in of.items()
-        }
-        for of, side in ((change, beside), (free, beside_free))
-    )
+    if giving_way is not None:
+        amount = giving_way.amount(problem, more, change)
+        change = _moved(change, giving_way.in_logs, amount)
+        free = _moved(free, giving_way.in_noise_free, amount)
     signals, exact = 0.0, 0.0
     left: list[Array] = []
     along: list[Array] = []
@@ -148,22 +139,76 @@ def instrumented_gain(
     return exact + power_along(left, along, colours).log_likelihood_ratio(signals**2 / square)
 
 
+@dataclass(frozen=True)
+class GivingWay:
+    """
+    How causes make up for one that is taken away, in the linear problem.
+
+    `in_logs` and `in_noise_free` are their signatures side by side, there and in the noise-free logs.
+    """
+
+    causes: tuple[Cause, ...]
+    in_logs: Signature
+    in_noise_free: Signature
+
+    @classmethod
+    def of(
+        cls,
+        problem: Problem,
+        causes: tuple[Cause, ...],
+        in_logs: Sequence[Signature],
+        in_noise_free: Sequence[Signature],
+    ) -> GivingWay:
+        """Take some causes with their signatures in their order."""
+        counts = [len(parameters_of(problem, cause)) for cause in causes]
+        return cls(causes, side_by_side(in_logs, counts), side_by_side(in_noise_free, counts))
+
+    def amount(self, problem: Problem, more: Hypothesis, change: Mapping[str, Array]) -> Array:
+        """
+        Return how far each parameter (k,) goes, within its bounds and with the prior of its size.
+
+        `change` is what is left over without the cause more than `more` leaves.
+        """
+        parameters = [(one, item) for one in self.causes for item in parameters_of(problem, one)]
+        if not parameters:
+            return np.zeros(0)
+        rows, right = [], []
+        for block, matrix in self.in_logs.items():
+            fit, channels = more.fits[block], more.residuals[block]
+            rows += in_deviations(fit.colours, by_channel(matrix, channels))
+            done = in_deviations(fit.colours, by_channel(change[block], channels))
+            right += [-one - two for one, two in zip(fit.whitened, done, strict=True)]
+        matrix, target = np.concatenate(rows), np.concatenate(right)
+        basis, matrix = np.linalg.qr(matrix)
+        root = np.sqrt(np.concatenate([precision(problem, cause) for cause in self.causes]))
+        away = np.concatenate(
+            [away_from_neutral(cause, parameters_of(problem, cause)) for cause in self.causes]
+        )
+        matrix = np.vstack([matrix, np.diag(root)])
+        target = np.concatenate([basis.T @ target, -root * away])
+        norms = np.linalg.norm(matrix, axis=0)
+        norms[norms == 0.0] = 1.0
+        room = np.array(
+            [
+                (
+                    min(item.low - one.values[item.name], 0.0),
+                    max(item.high - one.values[item.name], 0.0),
+                )
+                for one, item in parameters
+            ]
+        )
+        found = lsq_linear(matrix / norms, target, (room[:, 0] * norms, room[:, 1] * norms))
+        return np.asarray(found.x / norms)
+
+
+def _moved(change: Mapping[str, Array], signature: Signature, amount: Array) -> dict[str, Array]:
+    """Return a change with what parameters that go so far do besides."""
+    return {
+        block: rows + signature[block] @ amount if block in signature else rows
+        for block, rows in change.items()
+    }
+
+
 def _change(before: Sequence[Array], after: Sequence[Array]) -> Array:
     """Return by how much more is left over in the channels of a block, one behind the other."""
     return np.concatenate(before) - np.concatenate(after)
-
-
-def _least_squares(found: Hypothesis, beside: Signature, change: Mapping[str, Array]) -> Array:
-    """Return how much of each parameter (k,) takes most of a change away, white in `found`'s noise."""
-    rows, right = [], []
-    for block, matrix in beside.items():
-        fit, channels = found.fits[block], found.residuals[block]
-        rows += in_deviations(fit.colours, by_channel(matrix, channels))
-        right += in_deviations(fit.colours, by_channel(change[block], channels))
-    if not rows:
-        return np.zeros(0)
-    stacked = np.concatenate(rows)
-    norms = np.linalg.norm(stacked, axis=0)
-    norms[norms == 0.0] = 1.0
-    amount = np.linalg.lstsq(stacked / norms, np.concatenate(right), rcond=None)[0] / norms
-    return np.asarray(amount)
