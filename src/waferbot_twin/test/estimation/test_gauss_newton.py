@@ -17,7 +17,7 @@ from waferbot_twin.effects import find
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation import gauss_newton
-from waferbot_twin.estimation.gauss_newton import _least, _widths, fit_causes, moved
+from waferbot_twin.estimation.gauss_newton import _widths, fit_causes, least_squares_within, moved
 from waferbot_twin.models import load_model
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 from waferbot_twin.residuals.problem import PLANT, Cause
@@ -230,8 +230,12 @@ def test_a_cause_that_jumps_does_not_hold_the_others_where_they_are():
 def test_what_changes_nothing_stays_where_it_is():
     matrix = np.array([[2.0, 0.0], [0.0, 0.0]])
     low, high = np.array([-1.0, -5.0]), np.array([1.0, 5.0])
-    assert _least(matrix, np.array([1.0, 0.0]), low, high) == pytest.approx([0.5, 0.0])
-    assert _least(np.zeros((2, 2)), np.zeros(2), low, high) == pytest.approx([0.0, 0.0])
+    assert least_squares_within(matrix, np.array([1.0, 0.0]), low, high) == pytest.approx(
+        [0.5, 0.0]
+    )
+    assert least_squares_within(np.zeros((2, 2)), np.zeros(2), low, high) == pytest.approx(
+        [0.0, 0.0]
+    )
 
 
 class Wave:

@@ -364,14 +364,14 @@ def _only(linear: Linear, free: NDArray[np.bool_]) -> Linear:
 def _bounded(causes: Sequence[Cause], names: Names, linear: Linear, reach: Reach) -> Array:
     """Return the best change of all parameters within their bounds and within reach."""
     reaches = reach.of(names) * _widths(causes, names)
-    low, high = _room(causes, names)
+    low, high = room(causes, names)
     low, high = np.maximum(low, -reaches), np.minimum(high, reaches)
     if np.all((linear.value >= low) & (linear.value <= high)):
         return linear.value
-    return _least(linear.matrix, linear.right, low, high)
+    return least_squares_within(linear.matrix, linear.right, low, high)
 
 
-def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
+def room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
     """Return how far every parameter can go down and up."""
     values = np.array([causes[place].values[item.name] for place, item in names])
     return (
@@ -380,7 +380,7 @@ def _room(causes: Sequence[Cause], names: Names) -> tuple[Array, Array]:
     )
 
 
-def _least(matrix: Array, right: Array, low: Array, high: Array) -> Array:
+def least_squares_within(matrix: Array, right: Array, low: Array, high: Array) -> Array:
     """
     Return where |matrix x - right|^2 is least between bounds (which may coincide).
 

@@ -25,11 +25,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.estimation.conditional import conditional_errors
-from waferbot_twin.estimation.gauss_newton import all_signatures
+from waferbot_twin.estimation.gauss_newton import (
+    all_signatures,
+    least_squares_within,
+    names_of,
+    room,
+)
 from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, parameters_of
 from waferbot_twin.estimation.size_prior import away_from_neutral, precision
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
@@ -169,8 +173,8 @@ class GivingWay:
 
         `change` is what is left over without the cause more than `more` leaves.
         """
-        parameters = [(one, item) for one in self.causes for item in parameters_of(problem, one)]
-        if not parameters:
+        names = names_of(problem, self.causes)
+        if not names:
             return np.zeros(0)
         rows, right = [], []
         for block, matrix in self.in_logs.items():
@@ -186,19 +190,7 @@ class GivingWay:
         )
         matrix = np.vstack([matrix, np.diag(root)])
         target = np.concatenate([basis.T @ target, -root * away])
-        norms = np.linalg.norm(matrix, axis=0)
-        norms[norms == 0.0] = 1.0
-        room = np.array(
-            [
-                (
-                    min(item.low - one.values[item.name], 0.0),
-                    max(item.high - one.values[item.name], 0.0),
-                )
-                for one, item in parameters
-            ]
-        )
-        found = lsq_linear(matrix / norms, target, (room[:, 0] * norms, room[:, 1] * norms))
-        return np.asarray(found.x / norms)
+        return least_squares_within(matrix, target, *room(self.causes, names))
 
 
 def _moved(change: Mapping[str, Array], signature: Signature, amount: Array) -> dict[str, Array]:
