@@ -11,7 +11,7 @@ magnet. It takes out what it gives back: no loss, unlike friction. `torque_rippl
 current, this does not.
 
 A real motor has several of these at once. `with_orders` gives the same effect with whatever orders a
-log shows (`diagnosis.position_spectrum`), each with a cosine and a sine of its own.
+log shows (`diagnosis.proposals.cogging_orders`), each with a cosine and a sine of its own.
 
 Source: Z. Q. Zhu, D. Howe, Influence of design parameters on cogging torque in permanent magnet
 machines, IEEE Trans. Energy Conversion 15 (2000).

@@ -85,7 +85,7 @@ def test_noise_feigns_what_both_models_without_a_cause_say(
         told.append('linear' if giving_way else 'there')
         if giving_way:
             assert others == ordered.causes[:1]
-            assert giving_way == (ordered.causes[:1], ['of friction'], ['of friction there'])
+            assert giving_way == (ordered.causes[:1], ['of friction'], [['of friction there']])
         return linear if giving_way else there
 
     monkeypatch.setattr(feigned, 'instrumented_gain', instrumented_gain)
@@ -102,6 +102,6 @@ def test_noise_feigns_what_both_models_without_a_cause_say(
         log_prior=lambda cause: -4.0,
         signatures_of=lambda found: ['of play', 'of friction'],
     )
-    in_noise_free = ['of play there', 'of friction there']
+    in_noise_free = [['of play there', 'of friction there']]
     assert feigned._log_odds(known, found, 'play', 6.0, None, in_noise_free) == odds
     assert told == asked

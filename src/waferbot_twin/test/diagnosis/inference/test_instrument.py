@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.inference.instrument import (
     GivingWay,
+    explained,
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
@@ -52,8 +55,8 @@ def gained(mismatch):
     more = fit_causes(problem, (known, begun))
     noise_free = noise_free_logs(problem, more)
     others = more.causes[:1]
-    in_logs, there = all_signatures(problem, more)[:1], signatures_in(noise_free, more)[:1]
-    giving_way = GivingWay.of(problem, others, in_logs, there)
+    there = [signatures_in(logs, more)[:1] for logs in noise_free]
+    giving_way = GivingWay.of(problem, others, all_signatures(problem, more)[:1], there)
     return gain(more, base), instrumented_gain(problem, more, others, noise_free, giving_way)
 
 
@@ -92,3 +95,37 @@ def test_the_odds_are_those_of_all_four_cases():
         found = log_odds_beside_noise(by_logs, by_command, prior)
         assert found == pytest.approx(math.log(there / not_there), abs=1e-9)
     assert log_odds_beside_noise(math.inf, 5.0, prior) == pytest.approx(5.0 - math.log(share))
+
+
+def test_a_loop_that_rings_takes_nothing_from_what_another_one_says():
+    """What the command makes of a cause, seen through noise, and two loops: one of them rings."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    caused = np.sin(0.01 * np.arange(4000.0))
+    change = caused + 0.3 * random.standard_normal(4000)
+    rings = 100.0 * np.sin(1.9 * np.arange(4000.0))
+    for instruments in ([[caused]], [[rings], [0.7 * caused]], [[-caused], [0.7 * caused]]):
+        (found,) = explained([change], instruments)
+        assert np.corrcoef(found, caused)[0, 1] > 0.99
+        assert np.std(found) == pytest.approx(np.std(caused), rel=0.1)
+    (nothing,) = explained([change], [[-caused]])
+    assert not nothing.any()
+    assert explained([], []) == []
+
+
+def test_noise_free_logs_are_those_of_the_loops_that_are_stable():
+    unstable = {'found'}
+
+    def ideal(causes):
+        if unstable.intersection(causes):
+            raise UserError('the loop is unstable')
+        return f'logs of {[*causes]}'
+
+    problem = SimpleNamespace(ideal=ideal)
+    found = SimpleNamespace(causes=('found',))
+    problem.records = [SimpleNamespace(current=None)]
+    assert noise_free_logs(problem, found) == ['logs of []']
+    unstable.clear()
+    assert noise_free_logs(problem, found) == ["logs of ['found']", 'logs of []']
+    problem.ideal = lambda causes: None
+    assert noise_free_logs(problem, found) == []

@@ -3,7 +3,7 @@
 Backward elimination of what noise feigns: the causes that the command does not show.
 
 What another cause leaves over goes with the command, too. So it is asked last, when no further cause is
-found. The least odds of `instrument`, equation (1), go first, the others are fitted anew without that
+found. The least odds of `instrument`, equation (2), go first, the others are fitted anew without that
 cause and judged again, until none is less probable than not.
 """
 
@@ -61,12 +61,15 @@ def _judged(
     pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
 ) -> list[SingleEffect]:
     """Return effects with their odds beside what noise may feign; as they are where none is known."""
-    try:
-        noise_free = noise_free_logs(pool.problem, found) if effects else None
-        if noise_free is None:
-            return list(effects)
-        in_noise_free = signatures_in(noise_free, found, pool.workers)
-    except UserError:
+    noise_free: list[Problem] = []
+    in_noise_free: list[Sequence[Signature]] = []
+    for logs in noise_free_logs(pool.problem, found) if effects else ():
+        try:
+            in_noise_free.append(signatures_in(logs, found, pool.workers))
+        except UserError:  # the model does not stand in these motions
+            continue
+        noise_free.append(logs)
+    if not noise_free:
         return list(effects)
     known = pool.judged(found)
     # To send so many signatures to another process takes as long as to judge a cause: once to each.
@@ -91,8 +94,8 @@ def _log_odds_of(
     known: Judged,
     found: Hypothesis,
     asked: Sequence[tuple[str, float]],
-    noise_free: Problem,
-    in_noise_free: Sequence[Signature],
+    noise_free: Sequence[Problem],
+    in_noise_free: Sequence[Sequence[Signature]],
 ) -> list[tuple[str, float]]:
     """Return names of some causes with `_log_odds` of each, asked with those by the logs."""
     return [
@@ -106,8 +109,8 @@ def _log_odds(
     found: Hypothesis,
     name: str,
     by_logs: float,
-    noise_free: Problem,
-    in_noise_free: Sequence[Signature],
+    noise_free: Sequence[Problem],
+    in_noise_free: Sequence[Sequence[Signature]],
 ) -> float:
     """
     Return ln of the odds of a cause beside what noise may feign, those by the logs if none are known.
@@ -132,9 +135,9 @@ def _log_odds(
     odds = beside(others_without(problem, more, {name}))
     if odds is not None and odds > log_odds_at(known.settings.named_from):
         return odds
-    of_others, of_others_there = (
+    of_others, *of_others_there = (
         [one for one, cause in zip(some, found.causes, strict=True) if cause.name != name]
-        for some in (known.signatures_of(found), in_noise_free)
+        for some in (known.signatures_of(found), *in_noise_free)
     )
     again = beside(others, GivingWay.of(problem, others, of_others, of_others_there))
     told = [one for one in (odds, again) if one is not None]

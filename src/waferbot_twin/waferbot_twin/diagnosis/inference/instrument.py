@@ -4,17 +4,25 @@ An instrument against what the closed loop makes of noise.
 
 In a closed loop noise moves the axis, the controller answers, and what noise made of the current
 looks like a wrong amplifier; rounding of a position that a controller holds, like play. What the
-*command* makes of a cause in a noise-free log knows nothing of the noise: an instrument z of its
-change d (L. Ljung, System Identification, 2nd ed., section 13.4). Noise-free logs are those of the
-model in its closed loop, or where nobody knows the controller what the commands explain of the measured
-ones (`commanded_record`).
+*command* makes of a cause in a noise-free log knows nothing of the noise: an instrument of its change d
+(L. Ljung, System Identification, 2nd ed., section 13.4). Noise-free logs are those of the model in its
+closed loop, or where nobody knows the controller what the commands explain of the measured ones
+(`commanded_record`).
+
+An instrument is valid whatever it is made of, and says the more the more it is like d. With many causes
+the loop of a model may ring, or be unstable, where the machine's is not; then it says nothing, of any
+cause. The loop of the nominal model does less of what the machine does, and does not ring. So both are
+asked, and with Z what a cause changes in each of them, z is what they explain of d (two-stage least
+squares: T. Söderström, P. Stoica, System Identification, 1989, section 8.2),
+
+    z = Z b,        b >= 0 with |d - Z b|^2 the least.                                              (1)
 
 Whether noise feigns a cause is an open question like the cause itself, with the same prior probability
 pi: as many are feigned as are there. A feigned one explains the logs as well as a true one, but for what
 the command makes of it. With B the odds of a cause by the logs as they are, B_z those by the instrument
 alone, summed over all four cases,
 
-    1 / odds = (1 - pi) / B + pi / B_z.                                                             (1)
+    1 / odds = (1 - pi) / B + pi / B_z.                                                             (2)
 
 Where the command shows a cause plainly, that is B; where noise alone does, what the instrument leaves.
 """
@@ -25,6 +33,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import nnls
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.estimation.conditional import conditional_errors
@@ -44,20 +53,26 @@ from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 
-def noise_free_logs(problem: Problem, found: Hypothesis) -> Problem | None:
+def noise_free_logs(problem: Problem, found: Hypothesis) -> list[Problem]:
     """
-    Return the logs that the command would have given without noise, None where none is known.
+    Return the logs that the command would have given without noise, none where none are known.
 
-    Raises `UserError` if the loop is unstable.
+    Of the loop of a hypothesis and of that of the nominal model, as far as these are stable.
     """
-    ideal = problem.ideal(found.causes)
-    if ideal is not None or not all(tells_command(record) for record in problem.records):
-        return ideal
-    return Problem(problem.nominal, [as_commanded(record) for record in problem.records])
+    loops: list[Problem] = []
+    for causes in (found.causes, ()):
+        try:
+            ideal = problem.ideal(causes)
+        except UserError:
+            continue
+        loops += [ideal] if ideal is not None else []
+    if loops or not all(tells_command(record) for record in problem.records):
+        return loops
+    return [Problem(problem.nominal, [as_commanded(record) for record in problem.records])]
 
 
 def log_odds_beside_noise(by_logs: float, by_command: float, log_prior: float) -> float:
-    """Return ln of the odds of equation (1) for ln B, ln B_z and ln pi / (1 - pi)."""
+    """Return ln of the odds of equation (2) for ln B, ln B_z and ln pi / (1 - pi)."""
     feigned = -float(np.logaddexp(0.0, -log_prior))
     true = -float(np.logaddexp(0.0, log_prior))
     return -float(np.logaddexp(true - by_logs, feigned - by_command))
@@ -79,32 +94,33 @@ def instrumented_gain(
     problem: Problem,
     more: Hypothesis,
     others: tuple[Cause, ...],
-    noise_free: Problem,
+    noise_free: Sequence[Problem],
     giving_way: GivingWay | None = None,
 ) -> float | None:
     """
     Return what the last cause of `more` gains in ln L by what the command makes it do.
 
     The model without it has `others`, and what these do besides to make up for it in the linear problem
-    (`giving_way`). With z what the cause changes in the noise-free logs and d that in the logs, both
-    white, and b what is left over without it, more than that is in a noise-free log of its own loop
-    (where counts are taken for motion, that is not nothing), the instrument's estimate of the cause's
-    size, 1 if the logs are right, is z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the
-    power along z of what `more` leaves over less what was subtracted (`residual_spectrum.power_along`):
+    (`giving_way`). With z what the noise-free logs explain of the change d, equation (1), all white, and
+    b what is left over without the cause, more than that is in a noise-free log of its own loop (where
+    counts are taken for motion, that is not nothing), the instrument's estimate of the cause's size, 1
+    if the logs are right, is z' b / z' d with the variance lambda z' z / (z' d)^2, lambda the power
+    along z of what `more` leaves over less what was subtracted (`residual_spectrum.power_along`):
     rounding is in both. That is the likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative,
     and what exact blocks gain. None if the model does not stand in these motions.
     """
     with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
-    blocks = [block for block in noise_free.blocks if block in more.fits]
+    blocks = [block for block in noise_free[0].blocks if block in more.fits]
     try:
         own = problem.ideal(others)
         fewer = {block: problem.residuals(without, block) for block in more.fits}
-        free = {
-            block: _change(
-                noise_free.residuals(without, block), noise_free.residuals(with_it, block)
-            )
-            for block in blocks
-        }
+        free = [
+            {
+                block: _change(logs.residuals(without, block), logs.residuals(with_it, block))
+                for block in blocks
+            }
+            for logs in noise_free
+        ]
         feigned = {block: own.residuals(without, block) for block in blocks} if own else {}
     except UserError:
         return None
@@ -112,17 +128,22 @@ def instrumented_gain(
     if giving_way is not None:
         amount = giving_way.amount(problem, more, change)
         change = _moved(change, giving_way.in_logs, amount)
-        free = _moved(free, giving_way.in_noise_free, amount)
-    signals, exact = 0.0, 0.0
+        free = [
+            _moved(one, signature, amount)
+            for one, signature in zip(free, giving_way.in_noise_free, strict=True)
+        ]
+    exact = 0.0
+    changed: list[Array] = []
+    present: list[Array] = []
     left: list[Array] = []
-    along: list[Array] = []
+    caused: list[list[Array]] = [[] for _ in free]
     colours: list[Colour] = []
     for block, fit in more.fits.items():
         channels = more.residuals[block]
         done = in_deviations(fit.colours, by_channel(change[block], channels))
         before = [one + two for one, two in zip(fit.whitened, done, strict=True)]
         after = list(fit.whitened)
-        if block not in free or not any(colour.error.order for colour in fit.colours):
+        if block not in blocks or not any(colour.error.order for colour in fit.colours):
             exact += sum(0.5 * float(one @ one) for one in before)
             exact -= sum(0.5 * float(one @ one) for one in after)
             continue
@@ -132,15 +153,30 @@ def instrumented_gain(
                 [one - two for one, two in zip(some, rounding, strict=True)]
                 for some in (before, after)
             )
-        caused = in_deviations(fit.colours, by_channel(free[block], channels))
-        signals += sum(float(z @ b) for z, b in zip(caused, before, strict=True))
+        for own_caused, one in zip(caused, free, strict=True):
+            own_caused += in_deviations(fit.colours, by_channel(one[block], channels))
+        changed += done
+        present += before
         left += after
-        along += caused
         colours += fit.colours
+    along = explained(changed, caused)
     square = sum(float(z @ z) for z in along)
+    signals = sum(float(z @ b) for z, b in zip(along, present, strict=True))
     if square == 0.0 or signals <= 0.0:
         return exact
     return exact + power_along(left, along, colours).log_likelihood_ratio(signals**2 / square)
+
+
+def explained(change: Sequence[Array], caused: Sequence[Sequence[Array]]) -> list[Array]:
+    """Return z of equation (1) channel by channel: what instruments explain of a change d."""
+    if not change:
+        return []
+    instruments = np.column_stack([np.concatenate(one) for one in caused])
+    sizes = np.linalg.norm(instruments, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    shares, _ = nnls(instruments / sizes, np.concatenate(change))
+    ends = np.cumsum([len(channel) for channel in change])[:-1]
+    return np.split(instruments / sizes @ shares, ends)
 
 
 @dataclass(frozen=True)
@@ -148,12 +184,12 @@ class GivingWay:
     """
     How causes make up for one that is taken away, in the linear problem.
 
-    `in_logs` and `in_noise_free` are their signatures side by side, there and in the noise-free logs.
+    `in_logs` are their signatures side by side, `in_noise_free` those in each of the noise-free logs.
     """
 
     causes: tuple[Cause, ...]
     in_logs: Signature
-    in_noise_free: Signature
+    in_noise_free: Sequence[Signature]
 
     @classmethod
     def of(
@@ -161,11 +197,12 @@ class GivingWay:
         problem: Problem,
         causes: tuple[Cause, ...],
         in_logs: Sequence[Signature],
-        in_noise_free: Sequence[Signature],
+        in_noise_free: Sequence[Sequence[Signature]],
     ) -> GivingWay:
         """Take some causes with their signatures in their order."""
         counts = [len(parameters_of(problem, cause)) for cause in causes]
-        return cls(causes, side_by_side(in_logs, counts), side_by_side(in_noise_free, counts))
+        there = [side_by_side(one, counts) for one in in_noise_free]
+        return cls(causes, side_by_side(in_logs, counts), there)
 
     def amount(self, problem: Problem, more: Hypothesis, change: Mapping[str, Array]) -> Array:
         """
