@@ -15,7 +15,7 @@ cause. The loop of the nominal model does less of what the machine does, and doe
 asked, and with Z what a cause changes in each of them, z is what they explain of d (two-stage least
 squares: T. Söderström, P. Stoica, System Identification, 1989, section 8.2),
 
-    z = Z b,        b >= 0 with |d - Z b|^2 the least.                                              (1)
+    z = Z c,        c >= 0 with |d - Z c|^2 the least.                                              (1)
 
 Whether noise feigns a cause is an open question like the cause itself, with the same prior probability
 pi: as many are feigned as are there. A feigned one explains the logs as well as a true one, but for what
