@@ -9,11 +9,12 @@ looks like a wrong amplifier; rounding of a position that a controller holds, li
 closed loop, or where nobody knows the controller what the commands explain of the measured ones
 (`commanded_record`).
 
-An instrument is valid whatever it is made of, and says the more the more it is like d. With many causes
-the loop of a model may ring, or be unstable, where the machine's is not; then it says nothing, of any
-cause. The loop of the nominal model does less of what the machine does, and does not ring. So both are
-asked, and with Z what a cause changes in each of them, z is what they explain of d (two-stage least
-squares: T. Söderström, P. Stoica, System Identification, 1989, section 8.2),
+Whatever knows nothing of the noise is an instrument, and says the more the more it is like d. With
+many causes the loop of a model may ring, or be unstable, where the machine's is not; then it says
+nothing, of any cause. The loop of the nominal model does less of what the machine does, but does not
+depend on what was found. So both are asked, and with Z what a cause changes in each of them, z is what
+they explain of d (two-stage least squares, T. Söderström, P. Stoica, System Identification, 1989; here
+with c >= 0, as what goes against d says nothing of it),
 
     z = Z c,        c >= 0 with |d - Z c|^2 the least.                                              (1)
 
