@@ -53,20 +53,23 @@ def fitted_apart(
     enough: float = ENOUGH,
     known: Mapping[str, Signature] | None = None,
     rounds: int = ROUNDS,
+    roughly: float = 0.0,
 ) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
-    A fit ends where a round gains less than `enough` in ln L, or after so many `rounds`. `known` are
-    signatures of all causes by name that were found near here. Raises `UserError` if the simulation
-    blows up where a fit begins.
+    A fit ends where a round gains less than `enough` in ln L, or the share `roughly` of all that was
+    gained, or after so many `rounds`. `known` are signatures of all causes by name that were found near
+    here. Raises `UserError` if the simulation blows up where a fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
     for one in components(problem, causes):
         own = tuple(causes[place] for place in one.places)
         signatures = [known[cause.name] for cause in own] if known else []
-        fit = fit_causes(problem.only(one.blocks), own, rounds, workers, enough, signatures)
+        fit = fit_causes(
+            problem.only(one.blocks), own, rounds, workers, enough, signatures, roughly
+        )
         parts.append((one.places, fit))
         untouched -= one.blocks
     return joined(problem, [*parts, ((), evaluate(problem.only(untouched)))])

@@ -300,10 +300,27 @@ class Problem:
         }
         return other
 
-    def quick(self) -> Problem:
-        """Return the same problem with longer steps of the plant: for what a cause changes in it."""
+    def of_log(self, record: Record) -> Problem:
+        """Return the same problem with the blocks of one of its logs alone, without any prior."""
         other = copy.copy(self)
-        other.blocks = {**self.blocks, PLANT: [part.in_encoder_ticks() for part in self.plants]}
+        other.known_noise = {}
+        other.blocks = {
+            block: [part for part in parts if block != PRIOR and part.record is record]
+            for block, parts in self.blocks.items()
+        }
+        return other
+
+    def quick(self) -> Problem:
+        """
+        Return the same problem with longer steps of the plant: for what a cause changes in it.
+
+        Itself where they are as long already.
+        """
+        quick = [part.in_encoder_ticks() for part in self.plants]
+        if all(one is other for one, other in zip(quick, self.plants, strict=True)):
+            return self
+        other = copy.copy(self)
+        other.blocks = {**self.blocks, PLANT: list(quick)}
         return other
 
     def fine(self) -> Problem:
