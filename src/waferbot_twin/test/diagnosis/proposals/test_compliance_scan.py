@@ -118,6 +118,18 @@ def test_what_no_log_could_hold_is_not_tried(nominal, logs):
     np.testing.assert_allclose(near, about)
 
 
+def test_values_are_tried_in_the_log_that_shows_most_of_them_for_its_length(nominal, logs):
+    """Not in one in which the axis stands."""
+    (parameter,) = find(HIDDEN).parameters(nominal, AXIS)
+    cause = Cause(find(HIDDEN), AXIS, {'compliance': SHARE * parameter.typical})
+    (moving,) = logs[0][1].records
+    (standing,) = problem_of(nominal, nominal, 'random_y_rotate', SEEDS[0]).records
+    both = Problem(nominal, [standing, moving])
+    most = compliance_scan._shown_most_in(both, evaluate(both), cause)
+    assert most is moving
+    assert [part.record for part in both.of_log(most).plants] == [moving]
+
+
 def test_where_nothing_else_is_found_it_is_tried(nominal, logs):
     effects = [find(name) for name in RIVALS]
     (parameter,) = find(HIDDEN).parameters(nominal, AXIS)

@@ -148,7 +148,9 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
         )
 
     def as_it_is(problem, causes):
-        return SimpleNamespace(log_likelihood=0.5 * gain(problem, None, causes[-1]))
+        return SimpleNamespace(
+            log_likelihood=sum(0.5 * gain(problem, None, one) for one in causes[-1:])
+        )
 
     monkeypatch.setattr('waferbot_twin.diagnosis.proposals.compliance_scan.in_any_phase', gain)
     monkeypatch.setattr('waferbot_twin.diagnosis.proposals.compliance_scan.evaluate', as_it_is)
@@ -157,7 +159,10 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
         for factor in TUNING
     ]
     assert np.argmax(tried) == 25
-    problem = SimpleNamespace(nominal=nominal)
+    problem = SimpleNamespace(nominal=nominal, of_log=lambda record: problem)
+    monkeypatch.setattr(
+        'waferbot_twin.diagnosis.proposals.compliance_scan._shown_most_in', lambda *_: None
+    )
     start = Cause(effect, 'x_rotate', {item.name: 0.05 * item.typical})
     nothing = SimpleNamespace(causes=())
     found = tuned(problem, nothing, start)
@@ -165,6 +170,8 @@ def test_a_maximum_that_falls_between_two_values_is_found_beside_a_lower_one(mon
     # what suits in some phase only, but not as it is, is no better than the value at hand
     monkeypatch.setattr(
         'waferbot_twin.diagnosis.proposals.compliance_scan.evaluate',
-        lambda problem, causes: SimpleNamespace(log_likelihood=-causes[-1].values[item.name]),
+        lambda problem, causes: SimpleNamespace(
+            log_likelihood=-sum(one.values[item.name] for one in causes[-1:])
+        ),
     )
     assert tuned(problem, nothing, start) is start

@@ -40,7 +40,7 @@ from waferbot_twin.noise_model.prediction_error import (
     whitened,
 )
 from waferbot_twin.residuals.problem import Cause, Problem
-from waferbot_twin.residuals.record import Array
+from waferbot_twin.residuals.record import Array, Record
 
 CLOSE = (
     (-0.009, -0.006, -0.003, 0.0, 0.003, 0.006, 0.009),
@@ -312,25 +312,42 @@ def tuned(problem: Problem, base: Hypothesis, cause: Cause) -> Cause:
     Return a compliance where it rings as the logs do, of any size.
 
     Where the loop damps a ring quickly it makes no line, but values some percent apart can still be
-    told. The cause as it is where no other value explains the logs plainly better in any phase, or
-    none better as it is. Raises `UserError`.
+    told. They are tried in the log that shows most of it for its length: a ring is the same in all. The
+    cause as it is where no other value explains that log plainly better in any phase, or none all of
+    them better as it is. Raises `UserError`.
     """
     (item,) = parameters_of(problem, cause)
     narrow = replace(cause, narrow=(item.name,))
-    gain_of = functools.partial(in_any_phase, problem, base)
+    there = problem.of_log(
+        _shown_most_in(problem, base, narrow.with_values({item.name: item.typical}))
+    )
+    beside = evaluate(there, base.causes)
+    gain_of = functools.partial(in_any_phase, there, beside)
     if cause.values[item.name] < TUNING[-1] * item.typical:
         typical = narrow.with_values({item.name: item.typical})
         tried = values_tried(problem, typical, TUNING, gain_of)
     else:
         tried = values_tried(problem, narrow, SOFTLY, gain_of)
-    least = in_any_phase(problem, base, cause) + PLAINLY
+    least = gain_of(cause) + PLAINLY
     refined = [cause]
     for one in _maxima(tried):
-        best, gain = best_of(problem, base, one, COARSELY)
+        best, gain = best_of(there, beside, one, COARSELY)
         if gain >= least:
-            refined.append(closer(problem, base, best))
+            refined.append(closer(there, beside, best))
     # In any phase much suits a little: as they are, values far too soft would be the worst of all.
     return max(refined, key=lambda one: evaluate(problem, (*base.causes, one)).log_likelihood)
+
+
+def _shown_most_in(problem: Problem, base: Hypothesis, cause: Cause) -> Record:
+    """Return the log in which a cause changes most, white, mean over its time."""
+    change = whole_change(problem, base, (*base.causes, cause))
+    white = in_deviations(_colours_of(base, change), _channels_of(base, change))
+    channels = [channel for block in change for channel in problem.channels(block)]
+    power = {id(channel.log.record): 0.0 for channel in channels}
+    for channel, part in zip(channels, white, strict=True):
+        record = channel.log.record
+        power[id(record)] += float(np.sum(part**2)) / record.duration_s
+    return max((channel.log.record for channel in channels), key=lambda record: power[id(record)])
 
 
 def in_any_phase(problem: Problem, base: Hypothesis, cause: Cause) -> float:

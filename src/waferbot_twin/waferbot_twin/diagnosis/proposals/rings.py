@@ -54,7 +54,8 @@ class Rings:
                 )
                 if ring[0].name in names and not known:
                     begun.append(ring)
-        gains = [gain_in_any_phase(self.problem, base, change) for _, change in begun]
+        pool = Parallel(n_jobs=self.workers if len(begun) > 1 else 1)
+        gains = pool(delayed(gain_in_any_phase)(self.problem, base, change) for _, change in begun)
         best_first = sorted(range(len(begun)), key=lambda place: -gains[place])
         best = [begun[place][0] for place in best_first[: self.most]]
         return [
