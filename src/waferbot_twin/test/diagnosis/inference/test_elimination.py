@@ -42,6 +42,9 @@ class Term:
     def parameters(self, variant, axis):
         return (Parameter('value', '', 0.0, 1.0, -100.0, 100.0, ''),)
 
+    def repeats_after(self, variant, axis, values):
+        return 0.0
+
 
 def least_squares(columns, wanted, names, noise=1.0):
     """Return the hypothesis of least squares in noise of such variance (n,), taken for 1."""

@@ -9,6 +9,7 @@ import pytest
 
 from waferbot_twin.diagnosis.inference import forward_selection
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 
 
 def hypothesis(*names):
@@ -95,3 +96,51 @@ def test_cogging_has_the_orders_that_show_beside_the_other_causes(
     result = forward_selection._with_their_orders(pool, found)
     assert set(result.causes[-1].values) == kept
     assert result.causes[0] is friction
+
+
+@pytest.mark.parametrize(
+    ('rivals', 'lets_go', 'taken'),
+    [
+        ({}, (), ['a:y', 'b:z', 'c:x']),  # nobody else does what they do
+        ({'a:y': ['d:y']}, (), ['a:y', 'b:z', 'c:x']),  # which it is on its axis is one effect
+        ({'a:y': ['d:z']}, (), ['b:z', 'c:x']),  # which axis it is has to be asked
+        ({'c:x': ['d:x']}, (), ['a:y', 'b:z']),  # of its axis something was chosen
+        ({}, ('first:x', 'c:x'), ['a:y', 'b:z']),
+    ],
+)
+def test_with_the_most_probable_come_those_that_are_plain_beside_it(
+    monkeypatch, rivals, lets_go, taken
+):
+    def member(name, log_odds):
+        cause = SimpleNamespace(name=name, axis=name[-1], effect=SimpleNamespace(name=name))
+        return Member(SimpleNamespace(causes=(cause,), name=name), log_odds, 0.0)
+
+    members = [
+        member(name, 40.0 - place)
+        for place, name in enumerate(('first:x', 'a:y', 'd:y', 'b:z', 'c:x'))
+    ]
+    members[2] = member('d:y', 1.0)  # no more probable than named
+    monkeypatch.setattr(forward_selection, '_change', lambda base, one: one.found.name)
+    monkeypatch.setattr(forward_selection, '_gain_beside', lambda base, others, own: 30.0)
+    monkeypatch.setattr(forward_selection, 'gain', lambda one, base: 30.0)
+    monkeypatch.setattr(
+        forward_selection, 'lets_go', lambda problem, causes, cause: cause.name in lets_go
+    )
+    asked = []
+
+    def posterior_of(base, own):
+        asked.append([one.cause.name for one in own])
+        return SingleEffect(tuple(own), 0.1)
+
+    monkeypatch.setattr(forward_selection, 'posterior_of', posterior_of)
+    pool = SimpleNamespace(
+        problem=None,
+        settings=Settings(),
+        signatures_of=lambda base: [],
+        could_stand_for=lambda found, known: [
+            SimpleNamespace(name=name, axis=name[-1]) for name in rivals.get(found.name, ())
+        ],
+    )
+    chosen = forward_selection._apart(pool, SimpleNamespace(causes=()), members)
+    assert [one.best.cause.name for one in chosen] == taken
+    assert asked == ([['a:y', 'd:y']] if rivals.get('a:y') == ['d:y'] else [])

@@ -10,7 +10,7 @@ import pytest
 
 from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
-from waferbot_twin.diagnosis.proposals.repetition import can_repeat
+from waferbot_twin.diagnosis.proposals.repetition import can_repeat, repeats_in
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -88,3 +88,21 @@ def test_no_cause_that_repeats_is_tried_where_an_axis_stands(nominal):
 
     assert tried(1.0) == {'constant_force'}
     assert tried(400.0) == {'cogging', 'torque_ripple', 'constant_force'}
+
+
+@pytest.mark.parametrize(
+    ('name', 'values', 'held', 'longest'),
+    [
+        ('encoder_eccentricity', {'period': 0.5}, (), 0.5),
+        ('encoder_eccentricity', {'period': 0.5}, ('period',), 0.0),
+        ('cogging', {'order': 2.0}, (), 2.0 * math.pi / 22.0),
+        ('coulomb_friction', {}, (), 0.0),
+    ],
+)
+def test_a_period_that_is_fitted_is_covered_by_a_log(nominal, name, values, held, longest):
+    effect = find(name)
+    cause = Cause(effect, 'x_rotate', effect.complete(nominal, 'x_rotate', values), held)
+    short, long = 0.9 * longest or 0.01, 1.1 * longest or 0.02
+    for travels, covered in (((short, short), longest == 0.0), ((short, long), True)):
+        problem = problem_of(nominal, *({'x_rotate': travel} for travel in travels))
+        assert repeats_in(problem, cause) == covered

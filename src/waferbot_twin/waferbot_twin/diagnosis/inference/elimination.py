@@ -18,6 +18,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
+from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import names_of
@@ -45,7 +46,8 @@ def evident(
     evident in the linear problem are so with these odds at least: their own may be from beside other
     causes. All others have to be wanted back themselves, as the linear problem was wrong of one; so has
     what came along (`tentative`), which was never asked for. One that a fit has brought to a bound of
-    what is possible goes, whatever it does: it stands in for another one.
+    what is possible goes, whatever it does, and so does one with a period that no log covers
+    (`proposals.repetition`): they stand in for another one.
     """
     left = [*effects, *tentative]
     # About other values than the best a fit without a cause gains what was not yet gained with it.
@@ -63,7 +65,11 @@ def evident(
             open_ones &= names
             continue
         by_linear = _linear_odds(pool, found)
-        on_bounds = {one.name for one in found.causes if on_a_bound(pool.problem, one)}
+        on_bounds = {
+            one.name
+            for one in found.causes
+            if on_a_bound(pool.problem, one) or not repeats_in(pool.problem, one)
+        }
         name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
         odds, base = odds_beside(pool, found, name)
         open_ones.discard(name)

@@ -106,9 +106,9 @@ def ask_on(
             (effects if included else tentative).append(
                 effect if included else SingleEffect((best,), effect.none)
             )
-            for one in _apart(pool, found, effect.members) if included else ():
-                effects.append(with_odds(SingleEffect((one,), effect.none), one.log_odds))
-                causes = (*causes, one.cause)
+            for own in _apart(pool, found, effect.members) if included else ():
+                effects.append(own)
+                causes = (*causes, own.best.cause)
         first: list[Cause] = []
         if not usual and (asked > 1 or without_name):
             usual = True
@@ -242,16 +242,18 @@ def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEf
     return SingleEffect((Member(last, 0.0, pool.log_prior(cause), 1.0),), 0.0)
 
 
-def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[Member]:
+def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> list[SingleEffect]:
     """
-    Return those members beside the first that are plain beside the others, too.
+    Return those members beside the first that are plain beside the others, too, as effects.
 
-    One after the other, each by its gain in the linear problem without what those before it change. None
-    of those that another candidate could stand for: which it is has to be asked. And of an axis only one
-    that lets a part go: with that it is another machine, and what each changes alone does not add up.
+    One after the other, each by its gain in the linear problem without what those before it change.
+    Where another candidate could stand for one, which it is has to be asked: it is one effect with all
+    members of its axis, if nothing of that was chosen. And of an axis only one that lets a part go: with
+    that it is another machine, and what each changes alone does not add up.
     """
     plain = log_odds_at(pool.settings.named_from)
     chosen, changes = [members[0]], [_change(base, members[0])]
+    effects: list[SingleEffect] = []
     known = pool.signatures_of(base)
     rest = [
         (one, _change(base, one))
@@ -271,10 +273,31 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
         if sum(lets_go(pool.problem, base.causes, item.cause) for item in go) > 1:
             continue
         names = {item.cause.name for item in chosen}
-        if all(rival.name in names for rival in pool.could_stand_for(one.found, known)):
-            chosen.append(one)
+        rivals = [
+            rival for rival in pool.could_stand_for(one.found, known) if rival.name not in names
+        ]
+        if not rivals:
+            effects.append(with_odds(SingleEffect((one,), 0.0), one.log_odds))
+        elif {rival.axis for rival in rivals} == {one.cause.axis} and len(go) == 1:
+            effect = posterior_of(base, _physical_on(one.cause.axis, members))
+            if effect is None or effect.best.cause.name != one.cause.name:
+                continue
+            effects.append(effect)
+        else:
+            changes.append(change)
+            continue
+        chosen.append(one)
         changes.append(change)
-    return chosen[1:]
+    return effects
+
+
+def _physical_on(axis: str, members: Sequence[Member]) -> list[Member]:
+    """Return the members on an axis that have a physical name."""
+    return [
+        one
+        for one in members
+        if one.cause.axis == axis and not is_nuisance(one.cause) and not is_discrepancy(one.cause)
+    ]
 
 
 def _gain_beside(base: Hypothesis, others: Sequence[list[Array]], own: list[Array]) -> float:

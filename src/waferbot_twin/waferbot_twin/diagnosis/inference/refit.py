@@ -14,6 +14,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
+from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.diagnosis.proposals.screening import Progress, Screened, stage
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
 from waferbot_twin.estimation.conditional import others_without
@@ -62,13 +63,15 @@ def within_reach(
     """
     Return what may be the best: by the linear problem, and by what that says in noise of known power.
 
-    Half of the names that the settings allow by each; then, as long as there is room, other trials of
-    these that promise much and have another shape.
+    The best of each axis, and half of the names that the settings allow by each; then, as long as there
+    is room, other trials of these that promise much and have another shape.
     """
     first: dict[str, Screened] = {}
     by_likelihood = sorted(screened, key=lambda item: -item.likelihood)
     by_score = sorted(screened, key=lambda item: -item.score)
+    of_axes = {item.cause.axis: item for item in reversed(by_likelihood)}
     for ranked, most in (
+        (list(of_axes.values()), settings.most_refits),
         (by_likelihood, settings.most_refits // 2),
         (by_score, settings.most_refits),
     ):
@@ -153,7 +156,7 @@ def _begun_at(
     """Return causes fitted from where one is as in a trial; None if the machine does not stand there."""
     started = tuple(trial if cause.name == trial.name else cause for cause in causes)
     try:
-        return fitted_apart(problem, started, 1, ENOUGH, known, ROUNDS)
+        return fitted_apart(problem, started, 1, ENOUGH, known, ROUNDS, ROUGHLY)
     except UserError:
         return None
 
@@ -336,7 +339,7 @@ def _released(
     """
     Return a fitted hypothesis with what its last cause holds (teeth, poles, a turn) free as well.
 
-    None if nothing is held, or if the simulation blows up so.
+    None if nothing is held, if the simulation blows up so, or if no log goes as far as it then repeats.
     """
     last = _free(found.causes[-1])
     held = found.causes[-1].held
@@ -344,9 +347,10 @@ def _released(
         return None
 
     try:
-        return _roughly(problem, (*found.causes[:-1], last), known)
+        free = _roughly(problem, (*found.causes[:-1], last), known)
     except UserError:
         return None
+    return free if repeats_in(problem, free.causes[-1]) else None
 
 
 def _free(cause: Cause) -> Cause:

@@ -3,14 +3,20 @@
 Causes that are said to repeat along the way, where no log goes any way.
 
 Where an axis stands, or hunts on the steps of its encoders, no cause that repeats can be told at all,
-and none is tried: a shift by a part of a count, whatever makes it, changes when the readings step.
+and none is tried: a shift by a part of a count, whatever makes it, changes when the readings step. And
+a period that is fitted, because it is none of those that a machine has (teeth, poles, a turn), must be
+covered once by a log: a longer one is no period but a bend, which anything that bends makes.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from waferbot_lockstep.contract import AXIS_OF, ENCODERS
+from waferbot_twin.effects import places
+from waferbot_twin.estimation.hypothesis import parameters_of
 from waferbot_twin.residuals.problem import Cause, Problem
 
 STANDS = 8.0
@@ -27,3 +33,18 @@ def can_repeat(problem: Problem, cause: Cause) -> bool:
         for plant in problem.plants
         for name in encoders.intersection(plant.channels)
     )
+
+
+def repeats_in(problem: Problem, cause: Cause) -> bool:
+    """Return whether a log goes as far as a cause repeats after, if that is fitted and not held."""
+    way = cause.effect.repeats_after(problem.nominal, cause.axis, cause.values)
+    if not way or not any(item.fixed for item in parameters_of(problem, cause)):
+        return True
+    name = places.position_encoder(problem.nominal, cause.axis)
+    per_way = abs(places.axis_counts(problem.nominal, cause.axis))
+    travels = [
+        float(np.ptp(plant.measured(name))) / per_way
+        for plant in problem.plants
+        if name in plant.channels
+    ]
+    return way <= max(travels, default=math.inf)
