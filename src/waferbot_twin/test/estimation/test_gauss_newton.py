@@ -67,9 +67,6 @@ class Decay:
     def noises(self, block):
         return [Noise(1e-6, 0)]
 
-    def quick(self):
-        return self
-
     def judge(self, residuals):
         return {PLANT: likelihood(residuals[PLANT], self.noises(PLANT))}
 

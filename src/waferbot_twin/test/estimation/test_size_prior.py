@@ -72,9 +72,6 @@ class Sum:
     def between(self, one, other):
         return (PLANT,)
 
-    def quick(self):
-        return self
-
     def residuals(self, variant, block, workers=1):
         return [self.measured - np.array(variant) @ self.signals]
 

@@ -43,7 +43,6 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
-    in_quick_steps,
     log_likelihood_ratio,
     parameters_of,
     signature,
@@ -460,13 +459,9 @@ def all_signatures(
     """
     Return the signatures of all causes, the first ones `known`, with as many workers as there are.
 
-    In quick steps of the plant (`hypothesis.in_quick_steps`). `errors` (k,) as in
-    `hypothesis.signature`; None where nothing is known of them.
+    `errors` (k,) as in `hypothesis.signature`; None where nothing is known of them.
     """
     every = range(len(known), len(now.causes))
-    if not every:
-        return list(known)
-    problem, now = in_quick_steps(problem, now)
     # To send the logs to another process takes as long as to simulate some signatures: once to each.
     parts = [every[first::workers] for first in range(min(workers, len(every)))]
     found = Parallel(n_jobs=workers)(

@@ -151,10 +151,10 @@ def in_quick_steps(problem: Problem, base: Hypothesis) -> tuple[Problem, Hypothe
     Return a problem and a hypothesis in longer steps of the plant, to find what causes change.
 
     Only its residuals are those of the longer steps. Both are returned as they are if the plant blows up
-    so, or has steps as long already.
+    so.
     """
     quick = problem.quick()
-    if quick is problem or PLANT not in base.residuals:
+    if PLANT not in base.residuals:
         return problem, base
     try:
         left = quick.residuals(apply_all(problem.nominal, base.causes), PLANT)

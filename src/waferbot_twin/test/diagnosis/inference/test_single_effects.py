@@ -99,9 +99,6 @@ class Sum:
     def between(self, one, other):
         return (PLANT,)
 
-    def quick(self):
-        return self
-
     def residuals(self, variant, block, workers=1):
         return [self.measured - sum(variant.values(), np.zeros_like(TIME_S))]
 

@@ -55,6 +55,7 @@ from waferbot_twin.estimation.gauss_newton import all_signatures
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
+    in_quick_steps,
     lets_go,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
@@ -416,8 +417,8 @@ class CandidatePool:
         if key not in self._of_base:
             while len(self._of_base) >= KEPT:
                 self._of_base.pop(next(iter(self._of_base)))
-            errors = conditional_errors(base)
-            found = all_signatures(self.problem, base, self.workers, errors=errors)
+            quick, begun = in_quick_steps(self.problem, base)
+            found = all_signatures(quick, begun, self.workers, errors=conditional_errors(base))
             names = [cause.name for cause in base.causes]
             self._of_base[key] = dict(zip(names, found, strict=True))
         return [self._of_base[key][cause.name] for cause in base.causes]

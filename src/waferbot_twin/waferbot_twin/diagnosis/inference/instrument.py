@@ -44,7 +44,7 @@ from waferbot_twin.estimation.gauss_newton import (
     names_of,
     room,
 )
-from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, parameters_of
 from waferbot_twin.estimation.size_prior import away_from_neutral, precision
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
@@ -87,8 +87,8 @@ def signatures_in(noise_free: Problem, found: Hypothesis, workers: int = 1) -> S
     """
     variant = apply_all(noise_free.nominal, found.causes)
     left = {block: noise_free.residuals(variant, block) for block in noise_free.blocks}
-    begun = replace(found, residuals=left)
-    return all_signatures(noise_free, begun, workers, errors=conditional_errors(found))
+    quick, begun = in_quick_steps(noise_free, replace(found, residuals=left))
+    return all_signatures(quick, begun, workers, errors=conditional_errors(found))
 
 
 def instrumented_gain(
