@@ -25,12 +25,11 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, tables
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical, tables
 from waferbot_twin.diagnosis.inference.elimination import as_evident
 from waferbot_twin.diagnosis.inference.exactness import as_likely_as_not_where_inexact, inexact
 from waferbot_twin.diagnosis.inference.nuisance import (
     corrections,
-    is_nuisance,
     nuisance,
     prior_groups,
 )
@@ -209,8 +208,8 @@ def diagnose(
         {one.best.cause.name: one.log_odds for one in posterior.effects},
     )
     posterior = posterior.without(problem, extension.withdrawn, workers)
-    withdrawn = [cause for cause in (*refuted, *extension.withdrawn) if _is_physical(cause)]
-    notes += [said.refuted(nominal, cause) for cause in refuted if _is_physical(cause)]
+    withdrawn = [cause for cause in (*refuted, *extension.withdrawn) if is_physical(cause)]
+    notes += [said.refuted(nominal, cause) for cause in refuted if is_physical(cause)]
     notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
@@ -297,11 +296,6 @@ def _verdict(causes: Sequence[FoundCause], left: Sequence[Unexplained]) -> str:
     return 'unexplained' if left else 'consistent'
 
 
-def _is_physical(cause: Cause) -> bool:
-    """Return whether a cause has a physical name."""
-    return not is_discrepancy(cause) and not is_nuisance(cause)
-
-
 def _in_the_model(found: Hypothesis) -> tuple[Cause, ...]:
     """Return the causes of a hypothesis that a model can have: all but the discrepancies."""
     return tuple(cause for cause in found.causes if not is_discrepancy(cause))
@@ -317,7 +311,7 @@ def _found_causes(
     """Return those of some causes that have a physical name, what explains most first."""
     found = posterior.found
     errors = standard_errors(found)
-    wanted = {cause.name for cause in some if _is_physical(cause)}
+    wanted = {cause.name for cause in some if is_physical(cause)}
     result, first = [], 0
     for place, (cause, effect) in enumerate(zip(found.causes, posterior.effects, strict=True)):
         own = errors[first : first + cause.free]
@@ -344,7 +338,7 @@ def _without_a_name(posterior: Posterior, settings: Settings) -> list[Cause]:
     return [
         cause
         for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True)
-        if _is_physical(cause) and effect.inclusion < settings.named_from
+        if is_physical(cause) and effect.inclusion < settings.named_from
     ]
 
 
@@ -356,7 +350,7 @@ def _credible_set(
     return tuple(
         Alternative(cause if one.cause.name == cause.name else one.cause, one.probability)
         for one in members
-        if _is_physical(one.cause)
+        if is_physical(one.cause)
     )
 
 

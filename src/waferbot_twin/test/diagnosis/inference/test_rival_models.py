@@ -51,7 +51,7 @@ def searched(monkeypatch):
 
         monkeypatch.setattr(rival_models, 'ask_on', ask_on)
         monkeypatch.setattr(rival_models, 'log_odds_between', log_odds_between)
-        monkeypatch.setattr(rival_models, 'is_discrepancy', lambda cause: False)
+        monkeypatch.setattr(rival_models, 'is_physical', lambda cause: True)
         monkeypatch.setattr(rival_models, 'is_nuisance', lambda cause: False)
         monkeypatch.setattr(
             rival_models, 'ask_again', lambda pool, found, effects, most: (found, effects, 0)

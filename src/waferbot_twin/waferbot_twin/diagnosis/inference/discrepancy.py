@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from waferbot_lockstep.contract import ENCODERS
+from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
 from waferbot_twin.effects.variant import Overlay, Variant
@@ -64,6 +65,11 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
 def is_discrepancy(cause: Cause) -> bool:
     """Return whether a cause has no physical name."""
     return cause.effect.name in NAMES.values()
+
+
+def is_physical(cause: Cause) -> bool:
+    """Return whether a cause has a physical name of its own: no discrepancy, no dense effect."""
+    return not is_discrepancy(cause) and not is_nuisance(cause)
 
 
 def goes_with(cause: Cause) -> str:

@@ -16,9 +16,9 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
-from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
+from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import (
     Refits,
     begun_elsewhere,
@@ -258,7 +258,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     rest = [
         (one, _change(base, one))
         for one in members[1:]
-        if one.log_odds > plain and not is_nuisance(one.cause) and not is_discrepancy(one.cause)
+        if one.log_odds > plain and is_physical(one.cause)
     ]
     while rest:
         odds = [
@@ -279,7 +279,7 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
         if not rivals:
             effects.append(with_odds(SingleEffect((one,), 0.0), one.log_odds))
         elif {rival.axis for rival in rivals} == {one.cause.axis} and len(go) == 1:
-            effect = posterior_of(base, _physical_on(one.cause.axis, members))
+            effect = posterior_of(base, _on(one.cause.axis, members))
             if effect is None or effect.best.cause.name != one.cause.name:
                 continue
             effects.append(effect)
@@ -291,13 +291,9 @@ def _apart(pool: CandidatePool, base: Hypothesis, members: Sequence[Member]) -> 
     return effects
 
 
-def _physical_on(axis: str, members: Sequence[Member]) -> list[Member]:
+def _on(axis: str, members: Sequence[Member]) -> list[Member]:
     """Return the members on an axis that have a physical name."""
-    return [
-        one
-        for one in members
-        if one.cause.axis == axis and not is_nuisance(one.cause) and not is_discrepancy(one.cause)
-    ]
+    return [one for one in members if one.cause.axis == axis and is_physical(one.cause)]
 
 
 def _gain_beside(base: Hypothesis, others: Sequence[list[Array]], own: list[Array]) -> float:

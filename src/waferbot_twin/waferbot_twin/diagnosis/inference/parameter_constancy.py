@@ -17,9 +17,8 @@ from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
-from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.diagnosis.inference.discrepancy import is_physical
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at, odds_beside
-from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.refit import with_last
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear
@@ -30,11 +29,7 @@ from waferbot_twin.estimation.hypothesis import Hypothesis
 def as_sure_as_constant(pool: CandidatePool, posterior: Posterior) -> Posterior:
     """Return a posterior whose causes are no more probable than beside how their sizes vary."""
     effects = list(posterior.effects)
-    places = [
-        place
-        for place, effect in enumerate(effects)
-        if not is_nuisance(effect.best.cause) and not is_discrepancy(effect.best.cause)
-    ]
+    places = [place for place, effect in enumerate(effects) if is_physical(effect.best.cause)]
     found, judged = posterior.found, pool.judged(posterior.found)
     parallel = Parallel(n_jobs=pool.workers, return_as='generator', batch_size=1)
     every = parallel(delayed(_log_odds)(judged, found, found.causes[n].name) for n in places)

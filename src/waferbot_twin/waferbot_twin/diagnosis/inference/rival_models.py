@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
+from waferbot_twin.diagnosis.inference.discrepancy import is_physical
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.forward_selection import ask_on, log_odds_between
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
@@ -81,7 +81,7 @@ def _nearest_rivals(
             rival = member.cause
             if others != there - {name} or rival.name in there:
                 continue
-            if not is_discrepancy(rival) and not is_nuisance(rival):
+            if is_physical(rival):
                 nearest.append((member.probability / effect.best.probability, name, member))
                 break
     return [(name, member) for _, name, member in sorted(nearest, key=lambda item: -item[0])]
