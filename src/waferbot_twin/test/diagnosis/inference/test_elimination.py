@@ -118,6 +118,12 @@ def judged(monkeypatch):
         monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
         monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
         monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
+        monkeypatch.setattr(elimination, 'each_once', lambda problem, causes: tuple(causes))
+        monkeypatch.setattr(
+            elimination,
+            'fitted',
+            lambda problem, causes, workers, enough: SimpleNamespace(causes=causes),
+        )
         pool = SimpleNamespace(**vars(POOL), workers=1)
         found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects, tentative)
         return [cause.name for cause in found.causes], left, asked
@@ -147,6 +153,24 @@ def test_what_a_fit_has_brought_to_a_bound_goes(judged):
     found, left, asked = judged(causes, by_linear, by_logs, [effect_of(cause) for cause in causes])
     assert found == names_of(left) == ['one:x', 'three:x']
     assert asked == ['two:x', 'one:x']
+
+
+def test_the_next_member_takes_the_place_of_one_that_a_fit_has_brought_to_a_bound(judged):
+    """What stood in for it did its work: without either, what is left over hides the others."""
+    values = {'one': 1.0, 'two': 100.0, 'three': -100.0, 'four': 1.0}
+    one, two, three, four = (
+        Cause(Term(name), 'x', {'value': value}) for name, value in values.items()
+    )
+    members = [
+        Member(SimpleNamespace(causes=(cause,)), 0.0, -3.0, probability)
+        for cause, probability in ((two, 0.6), (three, 0.3), (four, 0.1))
+    ]
+    effects = [effect_of(one), SingleEffect(tuple(members), 0.0)]
+    by_linear = {'one:x': 20.0, 'two:x': 90.0, 'four:x': 30.0}
+    found, left, asked = judged((one, two), by_linear, dict.fromkeys(by_linear, 50.0), effects)
+    assert found == names_of(left) == ['one:x', 'four:x']  # three is on a bound itself
+    assert asked == ['one:x']
+    assert left[1].best.probability == pytest.approx(left[1].inclusion)
 
 
 def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(judged):

@@ -37,10 +37,11 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
     monkeypatch.setattr(revision, 'posterior_beside', posterior)
     monkeypatch.setattr(revision, 'fitted_together', fitted_on)
     monkeypatch.setattr(revision, 'evident', lambda pool, found, effects: (found, list(effects)))
-    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'])
+    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'], revised=set())
     names = ('first', 'second', 'third')
     effects = [effect_of(hypothesis(name)) for name in names]
-    _, left, asked = revision.ask_again(pool, hypothesis(*names), effects, 24)
+    found, left, asked = revision.ask_again(pool, hypothesis(*names), effects, 24)
     assert told == ['first', 'second', 'third', 'first']
     assert {one.best.cause.name for one in left} == {'first', 'another', 'third'}
     assert asked == 4
+    assert revision.ask_again(pool, found, left, 24) == (found, left, 0)

@@ -102,7 +102,8 @@ class CandidatePool:
     The candidates in logs, with all that has been found out about them.
 
     `names` has every `effect:axis` among the candidates for a cause, once; `dense` is the effect of
-    many small deviations, which is fitted each time: a linear problem says little of so many.
+    many small deviations, which is fitted each time: a linear problem says little of so many. `revised`
+    are the effects that were asked for anew, each with the names of the causes beside it.
     """
 
     def __init__(
@@ -137,6 +138,7 @@ class CandidatePool:
         self._of_base: dict[frozenset[Hashable], dict[str, Signature]] = {}
         self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
+        self.revised: set[tuple[str, frozenset[str]]] = set()
 
     def log_prior(self, cause: Cause) -> float:
         """

@@ -16,12 +16,18 @@ from scipy.special import logit
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
-from waferbot_twin.diagnosis.inference.refit import to_the_end, with_last, without
+from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.refit import (
+    fitted,
+    to_the_end,
+    with_last,
+    without,
+)
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
 from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
-from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.gauss_newton import ENOUGH, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, on_a_bound, parameters_of
 from waferbot_twin.estimation.size_prior import (
     information_of_logs,
@@ -46,8 +52,8 @@ def evident(
     evident in the linear problem are so with these odds at least: their own may be from beside other
     causes. All others have to be wanted back themselves, as the linear problem was wrong of one; so has
     what came along (`tentative`), which was never asked for. One that a fit has brought to a bound of
-    what is possible goes, whatever it does, and so does one with a period that no log covers
-    (`proposals.repetition`): they stand in for another one.
+    what is possible stands in for another one, and so does one with a period that no log covers
+    (`proposals.repetition`): the next member of its effect takes its place, or nothing if none is left.
     """
     left = [*effects, *tentative]
     # About other values than the best a fit without a cause gains what was not yet gained with it.
@@ -65,12 +71,13 @@ def evident(
             open_ones &= names
             continue
         by_linear = _linear_odds(pool, found)
-        on_bounds = {
-            one.name
-            for one in found.causes
-            if on_a_bound(pool.problem, one) or not repeats_in(pool.problem, one)
-        }
+        on_bounds = {one.name for one in found.causes if _stands_in(pool.problem, one)}
         name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
+        instead = _with_next_member(pool, found, left, name) if name in on_bounds else None
+        if instead is not None:
+            found, left, its_name = instead
+            open_ones = open_ones - {name} | {its_name}
+            continue
         odds, base = odds_beside(pool, found, name)
         open_ones.discard(name)
         if odds > limit and name not in on_bounds:
@@ -90,6 +97,39 @@ def evident(
         with_odds(one, odds_of[one.best.cause.name]) if one.best.cause.name in odds_of else one
         for one in left
     ]
+
+
+def _stands_in(problem: Problem, cause: Cause) -> bool:
+    """Return whether a fitted cause can only stand in for another one."""
+    return on_a_bound(problem, cause) or not repeats_in(problem, cause)
+
+
+def _with_next_member(
+    pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect], name: str
+) -> tuple[Hypothesis, list[SingleEffect], str] | None:
+    """
+    Return a hypothesis with the next member of an effect in place of its best one, fitted to the end.
+
+    With the effects, and the name of that member. None if there is none that can be fitted, or each
+    stands in for something else itself.
+    """
+    there = {cause.name for cause in found.causes}
+    place = next(place for place, one in enumerate(effects) if one.best.cause.name == name)
+    effect = effects[place]
+    members = tuple(
+        one
+        for one in effect.members[1:]
+        if one.cause.name not in there and not _stands_in(pool.problem, one.cause)
+    )
+    if not members:
+        return None
+    instead = members[0].cause
+    causes = [instead if cause.name == name else cause for cause in found.causes]
+    again = fitted(pool.problem, each_once(pool.problem, causes), pool.workers, ENOUGH)
+    if again is None:
+        return None
+    own = with_odds(SingleEffect(members, effect.none), effect.log_odds)
+    return again, [*effects[:place], own, *effects[place + 1 :]], instead.name
 
 
 def as_evident(pool: CandidatePool, posterior: Posterior) -> Posterior:

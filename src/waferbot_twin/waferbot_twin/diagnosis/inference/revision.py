@@ -22,22 +22,22 @@ def ask_again(
     """
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
-    Beside the same others each is asked for once. Which one it is, that is: what no other candidate can
-    do in its place stays as it is. Whether there is any is left to elimination, before or, if anything
-    is another one, in the end; so the model without an effect may be the one that the linear problem
-    has. Return how often was asked, too.
+    Beside the same others each is asked for once in a whole search (`CandidatePool.revised`). Which one
+    it is, that is: what no other candidate can do in its place stays as it is. Whether there is any is
+    left to elimination, before or, if anything is another one, in the end; so the model without an
+    effect may be the one that the linear problem has. Return how often was asked, too.
     """
     left, moved = most, False
-    asked = set[str]()
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
             if left <= 0:
                 break
             name = effect.best.cause.name
-            if name in asked:
+            others = frozenset(cause.name for cause in found.causes) - {name}
+            if (name, others) in pool.revised:
                 continue
-            asked.add(name)
+            pool.revised.add((name, others))
             present = with_last(pool.problem, found, name)
             rivals = pool.in_place_of(present)
             if not rivals:
@@ -54,7 +54,8 @@ def ask_again(
             rest = [*effects[:place], *effects[place + 1 :]]
             again = with_odds(again, log_odds_at(effect.inclusion))
             if again.best.cause.name != name:
-                changed, asked = True, {again.best.cause.name}
+                changed = True
+                pool.revised.add((again.best.cause.name, others))
             if again.best.found is not present:
                 moved = True
                 found = fitted_together(pool, again.best.found, again.best.found.causes)
