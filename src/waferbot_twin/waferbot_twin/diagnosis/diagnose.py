@@ -16,7 +16,7 @@ as it only went together with that, goes as well.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -54,6 +54,7 @@ from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_e
 from waferbot_twin.estimation.intervals import Intervals, intervals_95
 from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
+from waferbot_twin.residuals.observer_bandwidth import with_observers
 from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 from waferbot_twin.residuals.windows import Windows, in_windows
@@ -176,11 +177,16 @@ def diagnose(
     dense, numbers = nuisance(nominal, records, settings)
     groups = prior_groups(numbers)
     scales = settings.prior_scales, settings.unrated_scales
-    problem = Problem(nominal, records).with_prior(groups, *scales)
-    effects = [*offered_effects(problem, without), *tables(nominal, records), *dense]
-    pool = CandidatePool(problem, effects, settings, progress, workers)
-    posterior = infer(pool)
+
+    def pool_of(followed: Sequence[Record]) -> CandidatePool:
+        problem = Problem(nominal, followed).with_prior(groups, *scales)
+        effects = [*offered_effects(problem, without), *tables(nominal, records), *dense]
+        return CandidatePool(problem, effects, settings, progress, workers)
+
+    pool, posterior = _searched(nominal, records, pool_of)
     problem = pool.problem
+    records = list(problem.records)
+    estimation, validation = records[: len(estimation)], records[len(estimation) :]
     to_estimate = Problem(nominal, estimation).with_prior(groups, *scales)
     estimated = fitted_to(to_estimate, posterior.found.causes, workers)
     prediction = Prediction(
@@ -288,6 +294,30 @@ def _divide(records: Sequence[Record]) -> tuple[list[Record], list[Record]]:
         estimation.append(record.part(0.0, border_s))
         validation.append(record.part(border_s, record.duration_s))
     return estimation, validation
+
+
+def _searched(
+    nominal: Variant,
+    records: Sequence[Record],
+    pool_of: Callable[[Sequence[Record]], CandidatePool],
+) -> tuple[CandidatePool, Posterior]:
+    """
+    Return the candidates in some logs and the posterior of the search.
+
+    The logs are followed as fast as what the nominal model leaves over asks for. Where what was found
+    leaves so little that a slower observer predicts them better, the search goes on with that
+    (`residuals.observer_bandwidth`).
+    """
+    followed = with_observers(records, nominal, nominal)
+    posterior: Posterior | None = None
+    while True:
+        pool = pool_of(followed)
+        posterior = infer(pool, posterior)
+        before = [record.observer_hz for record in followed]
+        found = apply_all(nominal, posterior.found.causes)
+        followed = with_observers(followed, nominal, found)
+        if [record.observer_hz for record in followed] == before:
+            return pool, posterior
 
 
 def _verdict(causes: Sequence[FoundCause], left: Sequence[Unexplained]) -> str:

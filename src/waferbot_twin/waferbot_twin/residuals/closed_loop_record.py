@@ -105,6 +105,7 @@ def _how_read(record: Record) -> dict[str, Any]:
         'half_step': record.half_step,
         'counted': record.counted,
         'controlled': record.controlled,
+        'observer_hz': record.observer_hz,
     }
 
 
@@ -198,5 +199,9 @@ def _with_signals_of(record: Record, simulated: Record) -> Record:
         terminals = replace(simulated.terminals, voltage=voltage)
     command = None if record.command is None else simulated.command
     return replace(
-        simulated, command=command, terminals=terminals, judged_from_s=record.judged_from_s
+        simulated,
+        command=command,
+        terminals=terminals,
+        judged_from_s=record.judged_from_s,
+        observer_hz=record.observer_hz,
     )

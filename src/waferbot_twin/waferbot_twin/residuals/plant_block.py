@@ -15,8 +15,9 @@ damping: the error of a double integrator then dies out as exp(-z w t) at whatev
 are counts if it is not coarse, is the block's residual. A force F that the model lacks appears in it
 as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above
 what moves the machine, 80 Hz, but no more than a sixth of the rate at which readings come: what a slow
-log cannot show is not looked for in it. Whitening takes out what w and z were; all models that are
-compared have the same. Where several readings make a sample of the residual, their mean corrects the
+log cannot show is not looked for in it. Of noisy readings a slower one makes more
+(`observer_bandwidth`). Whitening takes out what w and z were; all models that are compared have the
+same. Where several readings make a sample of the residual, their mean corrects the
 plant when the sample ends: a sample is what was predicted from those before it, whatever an observer
 follows.
 
@@ -123,8 +124,8 @@ class PlantBlock:
 
     order = 24
 
-    def __init__(self, record: Record, variant: Variant, observer_hz: float = OBSERVER_HZ) -> None:
-        """Prepare what does not depend on the values of the model."""
+    def __init__(self, record: Record, variant: Variant, observer_hz: float | None = None) -> None:
+        """Prepare what does not depend on the values of the model; that of the record by default."""
         self.record = record
         self._rigid = variant.rigid.placing
         timing = record.timing
@@ -140,6 +141,9 @@ class PlantBlock:
         self._samples: list[NDArray[np.intp]] = []
         self.rates_hz: list[float] = []
         self._common_steps: list[int] = []
+        wanted_hz = record.observer_hz or (OBSERVER_HZ,) * len(ENCODERS)
+        if observer_hz is not None:
+            wanted_hz = (observer_hz,) * len(ENCODERS)
         self._observer_hz = np.zeros(len(ENCODERS))
         self._usual_rows = np.zeros(len(ENCODERS), np.int64)
         self._ends = np.zeros(record.reading.shape, np.bool_)
@@ -148,7 +152,7 @@ class PlantBlock:
             rows = np.flatnonzero(known[:, place])
             usual = float(np.median(np.diff(rows)))
             rate_hz = timing.encoder_hz / usual
-            self._observer_hz[place] = min(observer_hz, rate_hz / READINGS_PER_CYCLE)
+            self._observer_hz[place] = min(wanted_hz[place], rate_hz / READINGS_PER_CYCLE)
             settling = SETTLING_CYCLES / self._observer_hz[place] * timing.encoder_hz
             group = max(1, round(rate_hz / timing.servo_hz))
             self._usual_rows[place] = round(group * usual)

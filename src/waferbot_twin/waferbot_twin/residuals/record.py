@@ -69,6 +69,8 @@ class Record:
                   and no measured current
     skew_spread_s standard deviation of what is not known of the time of each axis' drive against its
                   position, s: 0 where a log has the same clock for both, and every tick
+    observer_hz   with which frequency each encoder is followed (`plant_block`), where that was found in
+                  the log (`observer_bandwidth`); None where not
     notes         what a reader of the results should know of the log
     log           name of the log that it is a part of; empty of a whole one
 
@@ -101,6 +103,7 @@ class Record:
     force_driven: tuple[str, ...] = ()
     told_alone: tuple[str, ...] = ()
     skew_spread_s: tuple[float, ...] = (0.0,) * len(AXES)
+    observer_hz: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     log: str = ''
 

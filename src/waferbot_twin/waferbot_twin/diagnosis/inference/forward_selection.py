@@ -121,7 +121,7 @@ def ask_on(
             found = fitted_together(pool, best.found, (*causes, *first))
         names = {cause.name for cause in found.causes}
         along |= {one.name for one in first}
-        tentative += [_as_fitted(pool, found, one) for one in first if one.name in names]
+        tentative += [as_fitted(pool, found, one) for one in first if one.name in names]
         found = _with_their_orders(pool, found)
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
         pool.note_noise_of(found)
@@ -236,7 +236,7 @@ def fitted_together(
     return joint or fitted_on(pool.problem, found, pool.workers)
 
 
-def _as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
+def as_fitted(pool: CandidatePool, found: Hypothesis, cause: Cause) -> SingleEffect:
     """Return a cause of a hypothesis as an effect that was not asked for."""
     last = with_last(pool.problem, found, cause.name)
     return SingleEffect((Member(last, 0.0, pool.log_prior(cause), 1.0),), 0.0)

@@ -15,34 +15,43 @@ from __future__ import annotations
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.feigned import without_feigned
-from waferbot_twin.diagnosis.inference.forward_selection import ask_on
-from waferbot_twin.diagnosis.inference.refit import to_the_end
+from waferbot_twin.diagnosis.inference.forward_selection import as_fitted, ask_on
+from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end
 from waferbot_twin.diagnosis.inference.revision import ask_again
 from waferbot_twin.diagnosis.inference.rival_models import beside_rival_models
-from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect
+from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
 from waferbot_twin.estimation.hypothesis import evaluate
 
 
-def infer(pool: CandidatePool) -> Posterior:
+def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     """
     Return the posterior over causes of the logs of a pool.
 
-    Raises `UserError` if the nominal model does not run in their motions.
+    From what was found in them with another observer, if it has `begun` so. Raises `UserError` if the
+    nominal model does not run in their motions.
     """
     nothing = evaluate(pool.problem)
-    pool.begin(nothing)
-    pool.note_noise_of(nothing)
     found, effects = nothing, list[SingleEffect]()
+    if begun is not None:
+        found = fitted(pool.problem, begun.found.causes, pool.workers) or nothing
+        effects = [
+            with_odds(as_fitted(pool, found, cause), effect.log_odds)
+            for cause, effect in zip(found.causes, begun.effects, strict=False)
+        ]
+    pool.begin(found)
+    pool.note_noise_of(found)
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
+    usual = begun is not None
     while True:
-        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual=bool(seen))
+        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual)
         most -= asked
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
         names = frozenset(cause.name for cause in found.causes)
         if most > 0 and not names.issuperset(wanted) and names not in seen:
             seen.add(names)
+            usual = True
             continue
         found, effects, asked = beside_rival_models(pool, found, effects, most)
         most -= asked
