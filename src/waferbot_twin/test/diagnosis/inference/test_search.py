@@ -9,6 +9,7 @@ import pytest
 
 from waferbot_twin.diagnosis.inference import search
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import Member, Posterior, SingleEffect
 
 
 def hypothesis(*names):
@@ -67,3 +68,53 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     assert not forward
     assert not left
     assert {cause.name for cause in found.causes} >= {'friction'}
+
+
+@pytest.mark.parametrize(
+    ('stands', 'names', 'inclusions'),
+    [(True, ['friction', 'belt'], [0.9, 0.7]), (False, [], [])],
+)
+def test_a_search_goes_on_from_what_was_found_with_another_observer(
+    monkeypatch, stands, names, inclusions
+):
+    """If the machine stands with that; what is certain by then has to be evident again."""
+    before = hypothesis('friction', 'belt')
+    effects = (
+        SingleEffect((Member(before, 9.0, -3.0, 0.9),), 0.1),
+        SingleEffect((Member(before, 5.0, -3.0, 0.7),), 0.3),
+    )
+    begun, told = Posterior(hypothesis(), before, effects, 2), []
+    fitted = hypothesis('friction', 'belt')
+
+    def ask_on(pool, found, effects, most, usual):
+        told.append((found, effects, usual))
+        return found, effects, set(), 1
+
+    for name, value in {
+        'evaluate': lambda problem: hypothesis(),
+        'fitted': lambda problem, causes, workers: fitted if stands else None,
+        'as_fitted': lambda pool, found, cause: SingleEffect(
+            (Member(hypothesis(cause.name), 0.0, -3.0, 1.0),), 0.0
+        ),
+        'ask_on': ask_on,
+        'ask_again': lambda pool, found, effects, most: (found, effects, 0),
+        'beside_rival_models': lambda pool, found, effects, most: (found, effects, 0),
+        'without_feigned': lambda pool, found, effects: (found, effects, []),
+        'to_the_end': lambda problem, found, workers: found,
+    }.items():
+        monkeypatch.setattr(search, name, value)
+    pool = SimpleNamespace(
+        problem=None,
+        settings=Settings(),
+        names=['a'],
+        workers=1,
+        begin=lambda base: None,
+        note_noise_of=lambda found: None,
+    )
+    found = search.infer(pool, begun)
+    ((first, given, usual),) = told
+    assert usual  # what everybody fits first has been there
+    assert [cause.name for cause in first.causes] == names
+    assert [one.best.cause.name for one in given] == names
+    assert [one.inclusion for one in given] == pytest.approx(inclusions)
+    assert found.found is first
