@@ -86,3 +86,14 @@ def test_a_log_in_which_the_model_does_not_run_stays(noisy, monkeypatch):
     monkeypatch.setattr(observer_bandwidth.PlantBlock, 'innovations', innovations)
     (found,) = with_observers([record], nominal, nominal)
     assert found is record
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_log_with_gaps_in_quick_succession_is_followed_as_usual(noisy):
+    """No stretch between two gaps is as long as the slowest observer takes to settle."""
+    nominal, record = noisy
+    reading = record.reading.copy()
+    rows = np.arange(len(reading))
+    reading[rows % 500 < 50] = np.nan
+    (found,) = with_observers([replace(record, reading=reading)], nominal, nominal)
+    assert found.observer_hz == (OBSERVER_HZ,) * len(ENCODERS)

@@ -11,6 +11,15 @@ from waferbot_twin.diagnosis.inference import search
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, Posterior, SingleEffect
 
+POOL = SimpleNamespace(
+    problem=None,
+    settings=Settings(),
+    names=['a'],
+    workers=1,
+    begin=lambda base: None,
+    note_noise_of=lambda found: None,
+)
+
 
 def hypothesis(*names):
     return SimpleNamespace(causes=tuple(SimpleNamespace(name=name) for name in names))
@@ -55,15 +64,7 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
         search, 'without_feigned', lambda pool, found, effects: (found, effects, [])
     )
     monkeypatch.setattr(search, 'to_the_end', lambda problem, found, workers: found)
-    pool = SimpleNamespace(
-        problem=None,
-        settings=Settings(),
-        names=['a'],
-        workers=1,
-        begin=lambda nothing: None,
-        note_noise_of=lambda found: None,
-    )
-    found = search.infer(pool).found
+    found = search.infer(POOL).found
     assert usual_were_there == asked
     assert not forward
     assert not left
@@ -103,15 +104,7 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
         'to_the_end': lambda problem, found, workers: found,
     }.items():
         monkeypatch.setattr(search, name, value)
-    pool = SimpleNamespace(
-        problem=None,
-        settings=Settings(),
-        names=['a'],
-        workers=1,
-        begin=lambda base: None,
-        note_noise_of=lambda found: None,
-    )
-    found = search.infer(pool, begun)
+    found = search.infer(POOL, begun)
     ((first, given, usual),) = told
     assert usual  # what everybody fits first has been there
     assert [cause.name for cause in first.causes] == names
