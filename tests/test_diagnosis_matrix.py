@@ -1165,12 +1165,16 @@ def test_a_gain_is_compared_on_the_logs_that_judged():
 # Machines of another simulator
 
 
-def other_report(*causes, verdict='explained', late_s=()):
+def other_report(*causes, verdict='explained', late_s=(), inertia=()):
     return {
         'verdict': verdict,
         'corrections': [
-            {'path': 'logs.x_rotate.skew_s', 'found': found, 'low': low, 'high': high}
-            for found, low, high in late_s
+            {'path': path, 'found': found, 'low': low, 'high': high, 'told': told}
+            for path, several in (
+                ('logs.x_rotate.skew_s', [(*one, True) for one in late_s]),
+                ('bodies.load.inertia_kg_m2', inertia),
+            )
+            for found, low, high, told in several
         ],
         'runtime_s': 1.0,
         'causes': [
@@ -1199,6 +1203,7 @@ def other_score(expected, *causes, **more):
 
 MASS = Answers((Answer('wrong_inertia', {'inertia': 0.2}),), frozenset({'force_constant'}))
 DRAG = Answers((Answer('viscous_friction', {'damping': 1.0}),))
+NOTED = Answers((*MASS.right, Answer('bodies.load.inertia_kg_m2', {'value': 2.2})), MASS.related)
 LATE = Answers((Answer('encoder_delay', {'delay': 3.0}), Answer(TIME, {'late_s': -1e-3})))
 
 
@@ -1226,6 +1231,22 @@ def test_machines_of_another_simulator_are_scored_by_name_set_and_correction():
     open_yet = [(-1e-4, -3e-4, 1e-4)]
     assert other_score({'encoder_delay': LATE}, late_s=open_yet)['outcome'] == 'none'
     assert other_score({}, ('skew', (), {}))['outcome'] == 'false alarm'
+
+
+@pytest.mark.parametrize(
+    ('inertia', 'became', 'covered'),
+    [
+        ((2.15, 2.05, 2.25, True), 'noted', [True]),
+        # The logs tell that it is another one, and not which.
+        ((2.1, 2.05, 2.15, True), 'missed', [False]),
+        ((2.1, 1.9, 2.3, False), 'missed', []),
+    ],
+)
+def test_a_mass_of_another_simulator_may_stand_in_the_table(inertia, became, covered):
+    scored = other_score({'mass': NOTED}, inertia=[inertia], verdict='consistent')
+    assert scored['became'] == {'mass': became}
+    assert [error['covered'] for error in scored['other_errors']] == covered
+    assert scored['false'] == []
 
 
 def test_a_machine_of_another_simulator_with_nothing_hidden_is_to_be_consistent():

@@ -277,6 +277,27 @@ def test_a_drive_is_late_by_its_delay_and_lags_exponentially():
     np.testing.assert_allclose(currents, forces[:-1:50] / 5.0, atol=1e-12)
 
 
+@pytest.mark.parametrize('every', [1, 2])
+@pytest.mark.parametrize('lag_s', [5e-5, 2.5e-4])
+def test_a_measured_drive_stands_late_in_a_straight_log(drawn, lag_s, every):
+    """As late as least squares say of what it does and the rate of what is logged."""
+    _, _, _, currents, _, forces, _ = run(loop(lag_s=lag_s), encoder(), 4000)
+    tick_s = 50 * STEP_S
+    sampled_s = np.arange(0, len(currents), every) * tick_s
+    logged = np.interp(
+        np.arange(len(forces)) * STEP_S, sampled_s, averaged(currents, every)[::every]
+    )
+    rate = np.gradient(logged, STEP_S)
+    inside = slice(2000, -2000)
+    late_s = (forces / 5.0 - logged)[inside] @ rate[inside] / (rate[inside] @ rate[inside])
+    setup = drawn[0].setup
+    setup = replace(
+        setup, drive='current', tick_hz=1.0 / tick_s, every=every,
+        tuning=replace(setup.tuning, lag_s=lag_s),
+    )  # fmt: skip
+    assert setup.drive_late_s == pytest.approx(late_s, rel=0.05)
+
+
 @pytest.mark.parametrize('rounds', [False, True])
 def test_an_encoder_shows_counts_of_where_the_axis_was(rounds):
     own = encoder(delay_steps=130, rounds=rounds, cosine=3e-5, sine=-2e-5, period=0.02)
@@ -405,6 +426,14 @@ def test_every_answer_is_an_effect_of_the_library_with_these_parameters(describe
             expected = answers(machine, kind, values, {kind: values})
             for answer in expected.right:
                 if answer.effect in (TIME, 'command_delay'):
+                    continue
+                if '.' in answer.effect:
+                    corrected = description(machine)
+                    for key in answer.effect.split('.'):
+                        corrected = corrected[key]
+                    if kind == 'motor_constant':
+                        true = corrected * values['ratio']
+                        assert answer.values['value'] == pytest.approx(true)
                     continue
                 effect = find(answer.effect)
                 assert machine.axis in effect.axes(variant), (kind, answer.effect)

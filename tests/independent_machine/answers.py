@@ -13,15 +13,15 @@ cannot be told from it in some motions: naming one is neither right nor a false 
         the library's direction_dependent_friction is that sum
     stribeck (breakaway, speed): stribeck_friction
     viscous (damping): viscous_friction [2]
-    mass (amount, kg or kg m2): wrong_inertia [2]; force_constant, encoder_scale
-    motor_constant (ratio): force_constant; wrong_inertia, encoder_scale
+    mass (amount, kg or kg m2): wrong_inertia [2], a correction of it; force_constant, encoder_scale
+    motor_constant (ratio): force_constant, a correction of it; wrong_inertia, encoder_scale
     constant_force (force): constant_force
     imbalance (offset_x, offset_y, m): centre_of_gravity
     cogging (cosine_N, sine_N at the motor): cogging
     eccentricity (cosine, sine, period): encoder_eccentricity
     motor_eccentricity (cosine, sine, period): motor_encoder_eccentricity; transmission_error
-    encoder_delay (delay_s): encoder_delay, a correction of the drive's time in the log;
-        motor_encoder_delay
+    encoder_delay (delay_s): encoder_delay, a correction of the drive's time in the log, both by as much
+        as the position is later than the drive there (`Setup.drive_late_s`); motor_encoder_delay
     drive_delay (delay_s): the same, and command_delay; motor_encoder_delay
     backlash (gap, rad at the output): backlash; gearbox_compliance, that of the flanks
     compliance (rad/Nm at the output): gearbox_compliance
@@ -38,6 +38,7 @@ related.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -68,8 +69,18 @@ class Answers:
         return frozenset(answer.effect for answer in self.right)
 
 
-def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Mapping) -> Answers:
-    """Return the answers to one of the hidden effects of a case, `hidden` being all of them."""
+def answers(
+    machine: Machine,
+    kind: str,
+    values: Mapping[str, float],
+    hidden: Mapping,
+    drive_late_s: float = 0.0,
+) -> Answers:
+    """
+    Return the answers to one of the hidden effects of a case, `hidden` being all of them.
+
+    `drive_late_s` is how late the drive stands in the log (`Setup.drive_late_s`).
+    """
     gives = 'backlash' in hidden or 'compliance' in hidden
     stiff_gear = machine.kind == 'geared' and not gives
     if kind == 'coulomb':
@@ -93,11 +104,15 @@ def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Ma
         right = (Answer('wrong_inertia', {parameter: amount}),)
         if stiff_gear:
             right += (Answer('motor_inertia', {'inertia': amount / machine.ratio**2}),)
+        corrected = {'value': (machine.mass if machine.linear else machine.inertia) + amount}
+        path = 'mass_kg' if machine.linear else 'inertia_kg_m2'
+        right += (Answer(f'bodies.load.{path}', corrected),)
         return Answers(right, _in_other_measure(machine, 'force_constant'))
     if kind in ('encoder_delay', 'drive_delay'):
+        late_s = values['delay_s'] - drive_late_s
         right = (
-            Answer('encoder_delay', {'delay': 1e3 * values['delay_s']}),  # in ms
-            Answer(TIME, {'late_s': -values['delay_s']}),
+            Answer('encoder_delay', {'delay': 1e3 * late_s}),  # in ms
+            Answer(TIME, {'late_s': -late_s}),
         )
         if kind == 'drive_delay':
             right += (Answer('command_delay'),)
@@ -108,9 +123,15 @@ def answers(machine: Machine, kind: str, values: Mapping[str, float], hidden: Ma
         return Answers(own.right, own.related | {'constant_force'})
     if kind == 'constant_force' and 'direction_dependent' in hidden:
         return Answers((Answer(kind),))  # with the rest of that friction
+    if kind == 'motor_constant':
+        path = (
+            f'motors.{machine.axis}.back_emf_lead_to_lead_v_{"s_m" if machine.linear else "s_rad"}'
+        )
+        corrected = {'value': values['ratio'] * machine.constant * 2.0 / math.sqrt(3.0)}
+        right = Answer('force_constant', dict(values)), Answer(path, corrected)
+        return Answers(right, _in_other_measure(machine, 'wrong_inertia'))
     name, related = {
         'stribeck': ('stribeck_friction', set()),
-        'motor_constant': ('force_constant', _in_other_measure(machine, 'wrong_inertia')),
         'constant_force': ('constant_force', set()),
         'imbalance': ('centre_of_gravity', set()),
         'cogging': ('cogging', set()),

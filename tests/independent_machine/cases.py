@@ -211,8 +211,8 @@ def _tuning(
     Return a loop as somebody tunes it who sees the real machine ring, but not why.
 
     A lag of the current would be a delay that is hidden where the log has the command, so there is none
-    then. A current that is sampled as the next command goes out is ahead of one that goes straight to
-    the next sample by half a tick less the lag: never late, so that no delay is hidden in it.
+    then. A current that is sampled as the next command goes out stands in the log later than it acts
+    (`Setup.drive_late_s`), as it does in a real one: a position that is as late is not late there.
     """
     lag_s = random.uniform(0.1, 0.5) / tick_hz
     if drive == 'current_command':

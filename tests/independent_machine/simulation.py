@@ -51,6 +51,24 @@ class Setup:
     drive: str
     reach: Reach
 
+    @property
+    def drive_late_s(self) -> float:
+        """
+        How much later than it acts a drive stands in the log, read straight from sample to sample.
+
+        A sample of the current is taken as the next command goes out, and what follows that has a lag
+        tau. Of a step, as samples have it and as it is, the integrals over 1 - i(t) differ by
+
+            T / 2 coth(T / (2 tau)) - tau,
+
+        and a mean over n ticks is half of n - 1 of them late besides. A command acts from its tick on.
+        """
+        if self.drive == 'current_command':
+            return 0.0
+        tick_s, lag_s = 1.0 / self.tick_hz, self.tuning.lag_s
+        sampled_s = 0.5 * tick_s / math.tanh(0.5 * tick_s / lag_s) - lag_s
+        return sampled_s + 0.5 * (self.every - 1) * tick_s
+
 
 @dataclass(frozen=True)
 class Motion:

@@ -18,8 +18,6 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation import gauss_newton
 from waferbot_twin.estimation.gauss_newton import _widths, fit_causes, least_squares_within, moved
-from waferbot_twin.estimation.hypothesis import standard_errors
-from waferbot_twin.estimation.intervals import with_covariance_beside_jumps
 from waferbot_twin.models import load_model
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 from waferbot_twin.residuals.problem import PLANT, Cause
@@ -96,33 +94,6 @@ def test_a_fit_is_the_bounded_least_squares_one_also_where_a_bound_holds(offset_
     ).x
     assert values == pytest.approx(truth, rel=1e-3, abs=1e-3)
     assert (values[2] == 0.0) == (offset_low == 0.0)
-
-
-class Stopping(Decay):
-    """The same, where beyond a rate everything behind a moment is another way, as friction has it."""
-
-    def __init__(self, measured, rate):
-        super().__init__(measured)
-        self.rate = rate
-
-    def residuals(self, variant, block, workers=1):
-        (residual,) = super().residuals(variant, block)
-        stops = variant.get('rate', 0.0) > self.rate
-        return [residual + 0.1 * np.sin(40.0 * TIME_S) * (stops and TIME_S > 0.3)]
-
-
-def test_a_jump_beside_a_value_does_not_make_it_surer():
-    """Truth is the same decay without jumps."""
-    random = np.random.default_rng(SEED)
-    measured = model(20.0, 9.0, -0.5) + 0.05 * random.standard_normal(len(TIME_S))
-    smooth = fit_causes(Decay(measured), decay_causes(-10.0), rounds=40, enough=1e-9)
-    truth = standard_errors(smooth)
-    rate = smooth.causes[1].values['value'] + 0.1 * truth[1]
-    jumping = Stopping(measured, rate)
-    found = fit_causes(jumping, smooth.causes, rounds=1)
-    assert standard_errors(found)[1] < 0.5 * truth[1]
-    errors = standard_errors(with_covariance_beside_jumps(jumping, found))
-    assert errors == pytest.approx(truth, rel=0.05)
 
 
 @pytest.mark.parametrize(

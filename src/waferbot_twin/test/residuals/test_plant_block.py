@@ -23,6 +23,8 @@ from waferbot_twin.residuals.plant_block import PlantBlock
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.synthesis import with_noise
 
+SEED = 20
+
 
 def record_of(variant, experiment, duration_s):
     """Return the noise-free log of a model."""
@@ -207,3 +209,24 @@ def test_the_autoregression_reaches_back_a_hundredth_of_a_second_if_the_log_is_l
     assert block.order == min(24, shortest // 20)
     assert (block.order == 24) == (duration_s == 0.5)
     assert all(noise.order == block.order for noise in block.noises)
+
+
+@pytest.mark.parametrize('rows', [2, 7])
+def test_what_is_left_over_is_continuous_in_a_delay(rows):
+    """Beside a whole number of rows the reading before becomes the next one, wherever each was taken."""
+    nominal = Variant.of(load_model('rigid'))
+    record = record_of(nominal, 'step', 0.3)
+    random = np.random.default_rng(SEED)
+    row_s = 1.0 / record.timing.encoder_hz
+    noisy = replace(
+        record,
+        reading=record.reading + 3.0 * random.standard_normal(record.reading.shape),
+        late_s=row_s * random.uniform(-0.5, 0.5, record.reading.shape),
+    )
+    block, delay = PlantBlock(noisy, nominal), find('encoder_delay')
+    before, after = (
+        block.innovations(delay.apply(nominal, 'x_rotate', {'delay': 1e3 * row_s * late}))
+        for late in (rows - 1e-6, rows + 1e-6)
+    )
+    for one, other in zip(before, after, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4)

@@ -51,11 +51,7 @@ from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_errors
-from waferbot_twin.estimation.intervals import (
-    Intervals,
-    intervals_95,
-    with_covariance_beside_jumps,
-)
+from waferbot_twin.estimation.intervals import Intervals, intervals_95
 from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.observer_bandwidth import with_observers
@@ -224,8 +220,6 @@ def diagnose(
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
     problem, posterior = _in_fine_steps(problem, posterior, workers)
-    sure = with_covariance_beside_jumps(problem, posterior.found, workers)
-    posterior = replace(posterior, found=sure)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
     follows = follows_command(problem, posterior, settings)

@@ -5,11 +5,13 @@ What an axis turns is out of balance in another way than in the model.
 The centre of gravity of the heaviest body that the axis carries moves by an offset across the
 axis, given along the base axes at home. Gravity then makes the torque m g x offset, and speed
 couples into the other axes. On a vertical axis gravity is felt only when another axis has tilted
-it.
+it. Of bodies of one density none is further off its axis than a rod that turns about its end,
+(3 J / (4 m))^(1/2); each of the two offsets may be as much as makes that together.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -30,11 +32,12 @@ def _across(variant: Variant, axis: str) -> tuple[int, ...]:
 
 
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
-    weight = 9.81 * places.carried_body(variant, axis).mass
-    typical = 0.05 * places.rated_force(variant, axis) / weight
+    body = places.carried_body(variant, axis)
+    typical = 0.05 * places.rated_force(variant, axis) / (9.81 * body.mass)
+    most = math.sqrt(3.0 / 8.0) * places.radius_of_gyration(variant, axis, body)
     return tuple(
         Parameter(
-            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -8.0 * typical, 8.0 * typical,
+            f'offset_{"xyz"[place]}', 'm', 0.0, typical, -most, most,
             f'along {"xyz"[place]} at home',
         )
         for place in _across(variant, axis)

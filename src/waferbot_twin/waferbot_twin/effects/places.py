@@ -216,6 +216,14 @@ def carried_body(variant: Variant, axis: str) -> Body:
     return max((bodies[name] for name in carried_bodies(variant, axis)), key=lambda one: one.mass)
 
 
+def radius_of_gyration(variant: Variant, axis: str, body: Body) -> float:
+    """Return (J / m)^(1/2) of a body about a rotary axis that carries it, m, at home."""
+    joint, direction = joint_of(variant, axis), direction_of(variant, axis)
+    assert joint is not None
+    arm = np.cross(direction, body.centre_of_gravity - joint.at)
+    return math.sqrt(direction @ body.inertia @ direction / body.mass + arm @ arm)
+
+
 def force_per_ampere(variant: Variant, axis: str) -> float:
     """Return the force (N) or torque (Nm) at the axis per ampere of the motor's current."""
     variant = variant.base

@@ -170,10 +170,10 @@ def fit_causes(
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
         seen = all_signatures(problem, now, workers, known, errors)
-    return with_covariance(problem, now, seen)
+    return _with_covariance(problem, now, seen)
 
 
-def with_covariance(
+def _with_covariance(
     problem: Problem, now: Hypothesis, signatures: Sequence[Signature]
 ) -> Hypothesis:
     """Return a hypothesis with covariance and curvature, with what the prior says of its values."""
@@ -455,18 +455,17 @@ def all_signatures(
     workers: int = 1,
     known: Sequence[Signature] = (),
     errors: Array | None = None,
-    both_ways: bool = False,
 ) -> list[Signature]:
     """
     Return the signatures of all causes, the first ones `known`, with as many workers as there are.
 
-    `errors` (k,) and `both_ways` as in `hypothesis.signature`; None where nothing is known of errors.
+    `errors` (k,) as in `hypothesis.signature`; None where nothing is known of them.
     """
     every = range(len(known), len(now.causes))
     # To send the logs to another process takes as long as to simulate some signatures: once to each.
     parts = [every[first::workers] for first in range(min(workers, len(every)))]
     found = Parallel(n_jobs=workers)(
-        delayed(_signatures_at)(problem, now, places, errors, both_ways) for places in parts
+        delayed(_signatures_at)(problem, now, places, errors) for places in parts
     )
     by_place = {
         place: one
@@ -477,18 +476,13 @@ def all_signatures(
 
 
 def _signatures_at(
-    problem: Problem,
-    now: Hypothesis,
-    places: Sequence[int],
-    errors: Array | None,
-    both_ways: bool,
+    problem: Problem, now: Hypothesis, places: Sequence[int], errors: Array | None
 ) -> list[Signature]:
     counts = np.cumsum([0, *(len(parameters_of(problem, cause)) for cause in now.causes)])
     return [
         signature(
             problem, now, now.causes, place,
             None if errors is None else errors[counts[place] : counts[place + 1]],
-            both_ways,
         )
         for place in places
     ]  # fmt: skip

@@ -217,7 +217,6 @@ def signature(
     causes: tuple[Cause, ...],
     place: int,
     errors: Array | None = None,
-    both_ways: bool = False,
 ) -> dict[str, Array]:
     """
     Return what the parameters of `causes[place]` change in the residuals, block by block.
@@ -229,33 +228,22 @@ def signature(
     With `errors` (k,), how far each parameter must move, the others where they are, for the logs to show
     it (`estimation.conditional`), slopes are those over that way. Over a longer one a machine that
     sticks and slips does another thing: a fit with such slopes ends where the likelihood still rises.
-
-    Friction decides at every reversal whether an axis stops, so residuals jump at values between which
-    they are smooth. A difference over a jump is no slope; and a jump lies on one side. With
-    `both_ways` a parameter moves up and down, if it can, and of each channel the lesser slope is right.
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
     parameters = parameters_of(problem, cause)
     absent = is_nothing(problem, cause)
     found: dict[str, list[Array]] = {}
     for number, item in enumerate(parameters):
-        value = cause.values[item.name]
         step = _probe(cause, item, math.inf if errors is None else float(errors[number]))
-        back = both_ways and item.low <= value - step <= item.high
-        slopes: dict[str, list[list[Array]]] = {}
-        for way in (step, -step) if back else (step,):
-            moved = cause.with_values({item.name: value + way})
-            variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
-            differing = () if absent and item.shape else problem.between(here, variant)
-            for block in problem.touched(cause.effect, cause.axis):
-                before = hypothesis.residuals[block]
-                there = problem.residuals(variant, block) if block in differing else before
-                slopes.setdefault(block, []).append(
-                    [(after - now) / way for after, now in zip(there, before, strict=True)]
-                )
-        for block, ways in slopes.items():
-            column = [min(channel, key=np.linalg.norm) for channel in zip(*ways, strict=True)]
-            found.setdefault(block, []).append(np.concatenate(column))
+        moved = cause.with_values({item.name: cause.values[item.name] + step})
+        variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
+        differing = () if absent and item.shape else problem.between(here, variant)
+        for block in problem.touched(cause.effect, cause.axis):
+            before = np.concatenate(hypothesis.residuals[block])
+            column = np.zeros_like(before)
+            if block in differing:
+                column = (np.concatenate(problem.residuals(variant, block)) - before) / step
+            found.setdefault(block, []).append(column)
     return {block: np.column_stack(columns) for block, columns in found.items()}
 
 

@@ -26,7 +26,6 @@ from scipy.stats import chi2, norm
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.conditional import conditional_errors
-from waferbot_twin.estimation.gauss_newton import all_signatures, with_covariance
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -51,22 +50,6 @@ HALVINGS = 6
 
 Intervals = dict[str, tuple[float, float]]
 """By name of a parameter, the ends of its interval."""
-
-
-def with_covariance_beside_jumps(
-    problem: Problem, found: Hypothesis, workers: int = 1
-) -> Hypothesis:
-    """
-    Return a fitted hypothesis with the covariance of slopes both ways (`hypothesis.signature`).
-
-    Of a delay of 10.5 ms beside dry friction a difference over one jump made a standard error of 0.06
-    ms; it is 1.4 ms.
-    """
-    errors = conditional_errors(found)
-    if errors is None:
-        return found
-    slopes = all_signatures(problem, found, workers, errors=errors, both_ways=True)
-    return with_covariance(problem, found, slopes)
 
 
 def intervals_95(

@@ -2,8 +2,8 @@
 """
 Named parameters, fitted through the simulation of the blocks.
 
-The residuals of the blocks (`diagnosis.problem`) are made white as what is left of them tells (an
-autoregression, then `diagnosis.colour`), and the sum of their squares is made as small as can be; then
+The residuals of the blocks (`residuals.problem`) are made white as what is left of them tells
+(`noise_model.residual_spectrum`), and the sum of their squares is made as small as can be; then
 the colour is found anew, and so on. Added to it is a square for how far each parameter is from the
 model's value, in half ranges. It is as nothing beside what signals say, and where they say nothing,
 parameters stay where the model has them.

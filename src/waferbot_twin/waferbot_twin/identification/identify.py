@@ -23,6 +23,7 @@ from waferbot_twin.identification.estimation import Estimate, Progress, estimate
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
 from waferbot_twin.noise_model.prediction_error import autoregression
+from waferbot_twin.residuals.observer_bandwidth import with_observers
 from waferbot_twin.residuals.problem import BlockOfLog, Problem
 from waferbot_twin.residuals.record import Array, Record
 from waferbot_twin.residuals.shown import shown_residual
@@ -83,7 +84,7 @@ def identify(
     Raises `UserError` if the logs show none of them or the model cannot be simulated.
     """
     begun_s = time.perf_counter()
-    problem = Problem(nominal, records)
+    problem = Problem(nominal, with_observers(records, nominal, nominal))
     fitted = estimate(problem, parameters, progress, workers)
     found, told = with_known(problem, fitted, known or {})
     identified = found.variant(nominal)

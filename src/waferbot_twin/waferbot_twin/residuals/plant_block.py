@@ -576,8 +576,14 @@ def _drive(
                     continue
                 if late_s.shape[0]:
                     if p['encoder_delay'][encoder] > 0:
-                        after = seen[(late + 1) % LONGEST_DELAY, encoder] - seen[late, encoder]
-                        before = seen[late, encoder] - seen[late - 1, encoder]
+                        # The path as corrected since, at the rows beside.
+                        next_, last = (late + 1) % LONGEST_DELAY, late - 1
+                        after = seen[next_, encoder] + corrected[encoder] - predicted
+                        after += (then_s + row_s) * (turned[encoder] - turned_by[next_, encoder])
+                        after -= lever[encoder] - lever_by[next_, encoder]
+                        before = predicted - seen[last, encoder] - corrected[encoder]
+                        before -= (then_s - row_s) * (turned[encoder] - turned_by[last, encoder])
+                        before += lever[encoder] - lever_by[last, encoder]
                         speed, bend = 0.5 * (after + before), after - before
                     else:
                         speed, bend = row_s * s['velocity'][coordinate] * per_unit, 0.0
