@@ -1169,12 +1169,12 @@ def other_report(*causes, verdict='explained', late_s=(), inertia=()):
     return {
         'verdict': verdict,
         'corrections': [
-            {'path': path, 'found': found, 'low': low, 'high': high, 'told': told}
-            for path, several in (
-                ('logs.x_rotate.skew_s', [(*one, True) for one in late_s]),
-                ('bodies.load.inertia_kg_m2', inertia),
+            {'path': path, 'nominal': nominal, 'found': found, 'low': low, 'high': high}
+            for path, nominal, several in (
+                ('logs.x_rotate.skew_s', 0.0, late_s),
+                ('bodies.load.inertia_kg_m2', 2.0, inertia),
             )
-            for found, low, high, told in several
+            for found, low, high in several
         ],
         'runtime_s': 1.0,
         'causes': [
@@ -1236,10 +1236,10 @@ def test_machines_of_another_simulator_are_scored_by_name_set_and_correction():
 @pytest.mark.parametrize(
     ('inertia', 'became', 'covered'),
     [
-        ((2.15, 2.05, 2.25, True), 'noted', [True]),
+        ((2.15, 2.05, 2.25), 'noted', [True]),
         # The logs tell that it is another one, and not which.
-        ((2.1, 2.05, 2.15, True), 'missed', [False]),
-        ((2.1, 1.9, 2.3, False), 'missed', []),
+        ((2.1, 2.05, 2.15), 'missed', [False]),
+        ((2.1, 1.9, 2.3), 'missed', []),
     ],
 )
 def test_a_mass_of_another_simulator_may_stand_in_the_table(inertia, became, covered):

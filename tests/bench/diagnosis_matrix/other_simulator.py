@@ -89,7 +89,7 @@ def read_findings(report: Mapping[str, Any]) -> Findings:
         low, high = item['low'], item['high']
         if item['path'].startswith('logs.') and low * high > 0.0:
             causes.append(Named(TIME, 1.0, (), {'late_s': (item['found'], low, high)}, True))
-        elif item['told']:
+        elif not low <= item['nominal'] <= high:
             value = {'value': (item['found'], low, high)}
             causes.append(Named(item['path'], 1.0, (), value, True))
     return Findings(report['verdict'], tuple(causes), float(report['runtime_s']))
