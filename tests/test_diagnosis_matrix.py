@@ -1176,6 +1176,7 @@ def other_report(*causes, verdict='explained', late_s=(), inertia=()):
             )
             for found, low, high in several
         ],
+        'accelerations': [],
         'runtime_s': 1.0,
         'causes': [
             {

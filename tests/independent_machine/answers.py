@@ -13,8 +13,9 @@ cannot be told from it in some motions: naming one is neither right nor a false 
         the library's direction_dependent_friction is that sum
     stribeck (breakaway, speed): stribeck_friction
     viscous (damping): viscous_friction [2]
-    mass (amount, kg or kg m2): wrong_inertia [2], a correction of it; force_constant, encoder_scale
-    motor_constant (ratio): force_constant, a correction of it; wrong_inertia, encoder_scale
+    mass (amount, kg or kg m2): wrong_inertia [2], a correction of it or of the acceleration per ampere;
+        force_constant, encoder_scale
+    motor_constant (ratio): force_constant, the same corrections; wrong_inertia, encoder_scale
     constant_force (force): constant_force
     imbalance (offset_x, offset_y, m): centre_of_gravity
     cogging (cosine_N, sine_N at the motor): cogging
@@ -42,7 +43,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from independent_machine.machine import Machine
+from independent_machine.machine import Machine, physics_of
 
 TIME = 'time of the drive'
 """Stands for a small correction: the drive's time in the log, which samples leave open."""
@@ -106,7 +107,7 @@ def answers(
             right += (Answer('motor_inertia', {'inertia': amount / machine.ratio**2}),)
         corrected = {'value': (machine.mass if machine.linear else machine.inertia) + amount}
         path = 'mass_kg' if machine.linear else 'inertia_kg_m2'
-        right += (Answer(f'bodies.load.{path}', corrected),)
+        right += (_acceleration(machine, hidden), Answer(f'bodies.load.{path}', corrected))
         return Answers(right, _in_other_measure(machine, 'force_constant'))
     if kind in ('encoder_delay', 'drive_delay'):
         late_s = values['delay_s'] - drive_late_s
@@ -128,7 +129,11 @@ def answers(
             f'motors.{machine.axis}.back_emf_lead_to_lead_v_{"s_m" if machine.linear else "s_rad"}'
         )
         corrected = {'value': values['ratio'] * machine.constant * 2.0 / math.sqrt(3.0)}
-        right = Answer('force_constant', dict(values)), Answer(path, corrected)
+        right = (
+            Answer('force_constant', dict(values)),
+            _acceleration(machine, hidden),
+            Answer(path, corrected),
+        )
         return Answers(right, _in_other_measure(machine, 'wrong_inertia'))
     name, related = {
         'stribeck': ('stribeck_friction', set()),
@@ -141,6 +146,14 @@ def answers(
         'compliance': ('gearbox_compliance', set()),
     }[kind]
     return Answers((Answer(name, dict(values)),), frozenset(related))
+
+
+def _acceleration(machine: Machine, hidden: Mapping) -> Answer:
+    """Return the correction that both a wrong mass and a wrong motor constant are."""
+    ratio = hidden.get('motor_constant', {}).get('ratio', 1.0)
+    moving = physics_of(machine, hidden).load_mass + machine.motor
+    value = ratio * machine.axis_constant / moving
+    return Answer(f'axes.{machine.axis}.acceleration_per_ampere', {'value': value})
 
 
 def _in_other_measure(machine: Machine, other: str) -> frozenset[str]:

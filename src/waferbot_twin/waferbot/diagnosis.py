@@ -113,9 +113,12 @@ class Diagnosis:
         """
         One row for each parameter that is a little different from the model's, but no cause.
 
+        And for each axis whose acceleration per ampere is another one, as mass and force constant are.
         `parameter`, `unit`, `nominal`, `found`, `low`, `high`: the ends of the 95 % interval.
         """
-        rows = [dataclasses.asdict(item) for item in self.details.corrections]
+        details = self.details
+        several = (*details.corrections, *details.accelerations)
+        rows = [dataclasses.asdict(item) for item in several]
         return pd.DataFrame(rows, columns=['parameter', 'unit', 'nominal', 'found', 'low', 'high'])
 
     @property

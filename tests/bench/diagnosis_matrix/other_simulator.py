@@ -5,8 +5,9 @@ Cases of a second simulator, through the commands as a user: import, diagnose, r
 Machines, logs and truth are those of `tests/independent_machine`, which shares no code with waferbot. A
 hidden effect is *named* if a reported cause has a name that is right for it, *in the set* if one of
 those is in the credible set of a reported cause, *noted* if it stands in the table of small
-corrections: a delay within a sample, or a mass or motor constant of which the logs tell that it is
-another one, with the true value in its interval; else *missed*. A reported cause is *false* if neither
+corrections: a delay within a sample, or a mass or motor constant, or the acceleration per ampere that
+both change, of which the logs tell that it is another one, with the true value in its interval; else
+*missed*. A reported cause is *false* if neither
 its name nor one of its set is right for anything that is hidden, nor related to it.
 """
 
@@ -85,7 +86,7 @@ def read_findings(report: Mapping[str, Any]) -> Findings:
         )
         for cause in report['causes']
     ]
-    for item in report['corrections']:
+    for item in (*report['accelerations'], *report['corrections']):
         low, high = item['low'], item['high']
         if item['path'].startswith('logs.') and low * high > 0.0:
             causes.append(Named(TIME, 1.0, (), {'late_s': (item['found'], low, high)}, True))

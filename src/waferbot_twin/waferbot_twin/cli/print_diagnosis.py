@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from waferbot_twin.cli.console import new_table, result_console
-from waferbot_twin.diagnosis.corrections import stated
+from waferbot_twin.diagnosis.corrections import stated, stated_accelerations
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.parameters import ParameterText, parameter_texts
 from waferbot_twin.diagnosis.report import correction_row, gain_with_unnamed, unexplained_rows
@@ -31,7 +31,9 @@ def print_diagnosis(
     print(sentence(diagnosis))
     _print_causes(diagnosis, 'cause', diagnosis.causes)
     _print_causes(diagnosis, 'possible, not named', diagnosis.possible)
-    corrections = [correction_row(item, titles) for item in stated(diagnosis) if item.told]
+    told = [item for item in stated(diagnosis) if item.told]
+    told += stated_accelerations(diagnosis)
+    corrections = [correction_row(item, titles) for item in told]
     if corrections:
         _print_table(['small correction', 'nominal', 'found', '95 %'], corrections)
     left = [

@@ -79,6 +79,14 @@ def stated(diagnosis: Diagnosis) -> list[StatedCorrection]:
     ]
 
 
+def stated_accelerations(diagnosis: Diagnosis) -> list[StatedCorrection]:
+    """Return what several corrections make together (`accelerations`), all of it told by the logs."""
+    return [
+        StatedCorrection(item, item.low, item.high, True, False)
+        for item in diagnosis.accelerations
+    ]
+
+
 def _stated(correction: Correction, item: Parameter, x: float, scale: float) -> StatedCorrection:
     """Return a correction whose x of (1) has a value; `scale` is the k of (1)."""
     per_x = correction.nominal or 1.0

@@ -23,6 +23,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis import notes as said
+from waferbot_twin.diagnosis.accelerations import accelerations
 from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical, tables
@@ -116,7 +117,8 @@ class Diagnosis:
     probable that they are named: as they were beside the others, and not in the extended model.
     `residual_rms` has by block and channel what the nominal model leaves over. `problem` holds the logs
     as they were compared, estimation data first. `corrections` are parameters a little different from
-    the model's, which are no causes.
+    the model's, which are no causes; `accelerations` what they make of an ampere, where the logs tell
+    that rather than them (`diagnosis.accelerations`).
     """
 
     nominal: Variant
@@ -139,6 +141,7 @@ class Diagnosis:
     runtime_s: float = 0.0
     notes: list[str] = field(default_factory=list)
     corrections: list[Correction] = field(default_factory=list)
+    accelerations: list[Correction] = field(default_factory=list)
 
 
 def diagnose(
@@ -257,6 +260,7 @@ def diagnose(
         time.perf_counter() - begun_s,
         notes,
         corrections(problem, posterior.found, numbers),
+        accelerations(problem, posterior.found),
     )
 
 

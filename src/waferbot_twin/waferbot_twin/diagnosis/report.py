@@ -15,7 +15,11 @@ from markupsafe import Markup
 
 from waferbot_twin.diagnosis import figures
 from waferbot_twin.diagnosis.bands import Band, band_of, band_text
-from waferbot_twin.diagnosis.corrections import StatedCorrection, stated
+from waferbot_twin.diagnosis.corrections import (
+    StatedCorrection,
+    stated,
+    stated_accelerations,
+)
 from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
 from waferbot_twin.diagnosis.findings import AT_BOUND, NOT_TOLD, no_findings, on_bound, remark_of
 from waferbot_twin.diagnosis.forces import BINS, draw_forces
@@ -85,6 +89,13 @@ def as_dict(
                 'on_bound': item.on_bound,
             }
             for item in stated(diagnosis)
+        ],
+        'accelerations': [
+            {
+                **dataclasses.asdict(item),
+                'parameter': with_titles(item.parameter, diagnosis.nominal.titles),
+            }
+            for item in diagnosis.accelerations
         ],
         'unexplained': [
             {**dataclasses.asdict(item), 'band_hz': band}
@@ -191,7 +202,10 @@ def page(diagnosis: Diagnosis, reference: LeastSquares | None = None) -> str:
         included_from=probability_text(diagnosis.settings.included_from),
         credible=percent_text(diagnosis.settings.credible_level),
         readings=_readings(),
-        corrections=[correction_row(item, nominal.titles) for item in stated(diagnosis)],
+        corrections=[
+            correction_row(item, nominal.titles)
+            for item in (*stated(diagnosis), *stated_accelerations(diagnosis))
+        ],
         unexplained=unexplained_rows(diagnosis),
         force_picture=Markup(picture(forces)) if forces is not None else '',
         bins=BINS,
