@@ -144,8 +144,8 @@ def _simulation(options: argparse.Namespace) -> int:
         print(line)
     for item in result.gains:
         print(
-            f'{item.log}, {item.axis}: RMS error {item.rms_before:.4g} to {item.rms_after:.4g} '
-            f'{item.unit}, {item.improvement_percent:.1f} %'
+            f'{item.log}, {result.nominal.titles[item.axis]}: RMS error {item.rms_before:.4g} to '
+            f'{item.rms_after:.4g} {item.unit}, {item.improvement_percent:.1f} %'
         )
     return kept.tell('report: {}/report.html')
 
