@@ -161,6 +161,15 @@ def test_orders_of_cogging_come_out_of_the_residual(random, motor) -> None:
     assert orders_of(motor, [block]) == {AXIS: tuple(orders)}
 
 
+def test_what_comes_once_a_turn_is_no_cogging(random, motor) -> None:
+    """An imbalance is something else, and is not taken along by the orders beside it."""
+    log = log_of(
+        random, lambda angle, speed: 0.05 * np.cos(angle) + 0.02 * np.cos(7 * angle), 1e-3
+    )
+    block = PlantBlock(record_of_measured_log(log, motor), motor)
+    assert 1 not in orders_of(motor, [block]).get(AXIS, ())
+
+
 def test_orders_are_sought_beside_what_is_known(random, motor) -> None:
     """Friction that falls with speed hides the weaker lines as long as nobody knows it."""
     orders = {7: 0.02, 12: 0.006, 36: 0.004}

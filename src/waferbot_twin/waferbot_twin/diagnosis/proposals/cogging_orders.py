@@ -15,6 +15,10 @@ S the sums of squares of N samples without and with a line, whitened by what all
 (To whiten before the lines are known would take them out: they are what an autoregression predicts
 best.) The amplitudes are fitted afterwards, through the simulation, as for every other effect.
 
+Orders of a turn begin with two: a magnet that is another one meets each tooth of the stator, a tooth
+that is another one each pole of the rotor, and neither has less than two. Once a turn is something else:
+an imbalance, an eccentricity.
+
 Limits: orders are whole numbers per turn (per electrical cycle of a linear motor) and no closer than the
 travel can tell apart; a travel below an electrical cycle shows none; M is that of the axis alone. When
 an axis moves so slowly that its current only holds against the cogging, a motor without any force
@@ -165,7 +169,8 @@ def _candidates(variant: Variant, axis: str, parts: Sequence[_Part]) -> list[int
     # Two samples in a period at least where the axis is slow: there a line shows most.
     slow = min(_slow(part.turns) for part in parts)
     highest = min(ORDERS_PER_CYCLE * cycles, MOST_ORDERS * step, 0.5 / max(slow, 1e-9))
-    return list(range(step, int(highest) + 1, step))
+    orders = range(step, int(highest) + 1, step)
+    return [order for order in orders if order > 1 or not places.motor_rotary(variant, axis)]
 
 
 def _cycles(variant: Variant, axis: str) -> float:
