@@ -34,7 +34,7 @@ from waferbot_plant.foreign_plant import foreign_plant, identity, read_mapping
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
 from waferbot_twin.cli.seeds import add_seed
-from waferbot_twin.engines.layout import DELIVERIES, DIRECT
+from waferbot_twin.engines.layout import DELIVERIES, DIRECT, startup_timeout_s
 from waferbot_twin.engines.with_ros import engine_with_ros
 from waferbot_twin.plan import Outcome, Plan, make_plan
 from waferbot_twin.plant_difference import is_mathematical, plant_differences
@@ -89,8 +89,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='wall time to wait for such a command (default 1)',
     )  # fmt: skip
     parser.add_argument(
-        '--startup-timeout', type=float, default=60.0, metavar='S',
-        help='wall time to wait for all nodes, yours as well (default 60)',
+        '--startup-timeout', type=float, metavar='S',
+        help='wall time to wait for all nodes, yours as well '
+        '(default 60, and 240 more where the model has to be compiled)',
     )  # fmt: skip
     parser.add_argument(
         '--plant', type=Path, metavar='FMU',
@@ -111,7 +112,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run, and say what came of it."""
     if options.duration is not None and not 0.0 < options.duration < 1e6:
         raise UserError(f'--duration is {options.duration:g} s; it must be above 0 and below 1e6')
-    if not 0.0 < options.startup_timeout <= 3600.0:
+    if options.startup_timeout is not None and not 0.0 < options.startup_timeout <= 3600.0:
         raise UserError(
             f'--startup-timeout is {options.startup_timeout:g} s; it must be above 0 and at most 3600'
         )
@@ -245,7 +246,7 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         device_timeout_s=options.device_timeout,
         one_copley_per_axis=options.copley_per_axis,
         without=tuple(options.without),
-        startup_timeout_s=options.startup_timeout,
+        startup_timeout_s=options.startup_timeout or startup_timeout_s(compiled_before()),
         domain=options.domain,
         any_host=options.any_host,
         on_domain=lambda number: say(f'ROS_DOMAIN_ID={number}'),

@@ -28,9 +28,21 @@ from waferbot_twin.plan import Plan
 
 STARTUP_TIMEOUT_S = 60.0
 """
-Wall time for nodes to start and find each other, if the user does not say; compiling the model is part
-of it, and so is the time that it takes to start one's own node by hand.
+Wall time for nodes to start and find each other, if the user does not say; the time that it takes to
+start one's own node by hand is part of it.
 """
+
+COMPILING_S = 240.0
+"""
+Wall time more where nothing of these sources is compiled yet: half a minute of a quiet core, and nodes
+compile side by side.
+"""
+
+
+def startup_timeout_s(compiled: bool) -> float:
+    """Return how long nodes may take to start, s, where the model is or is not `compiled` yet."""
+    return STARTUP_TIMEOUT_S + (0.0 if compiled else COMPILING_S)
+
 
 TOPICS, DIRECT, CHANNEL = 'topics', 'direct', 'channel'
 DELIVERIES = (TOPICS, DIRECT, CHANNEL)
