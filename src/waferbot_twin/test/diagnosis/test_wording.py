@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, FoundCause
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
 from waferbot_twin.diagnosis.parameters import parameter_texts
@@ -43,10 +44,11 @@ def found(nominal, cause, probability=0.87, share=0.42, others=()):
     return FoundCause(cause, parameters, {}, 1.0, probability, members, 10.0, share)
 
 
-def diagnosis(nominal, causes, unexplained=(), possible=()):
+def diagnosis(nominal, causes, unexplained=(), possible=(), corrections=()):
     return SimpleNamespace(
-        nominal=nominal, causes=causes, unexplained=list(unexplained), possible=list(possible)
-    )
+        nominal=nominal, causes=causes, unexplained=list(unexplained), possible=list(possible),
+        corrections=list(corrections), accelerations=[],
+    )  # fmt: skip
 
 
 def friction(value=1.5):
@@ -118,6 +120,11 @@ def test_one_that_may_be_another_says_which(nominal):
 
 def test_without_causes_the_model_explains_the_logs_or_nothing_does(nominal):
     assert sentence(diagnosis(nominal, [])).startswith('The model explains these logs')
+    mass = Correction('mass of carriage', 'bodies.carriage.mass_kg', 'kg', 40.0, 38.0, 37.0, 39.0)
+    told = sentence(diagnosis(nominal, [], corrections=[mass]))
+    assert told.startswith('With small corrections the model explains these logs')
+    told = sentence(diagnosis(nominal, [], corrections=[replace(mass, high=41.0)]))
+    assert told.startswith('The model explains these logs')
     told = sentence(diagnosis(nominal, [], LEFT_OVER[:1]))
     assert told.startswith('No known cause explains these logs')
     assert 'Y-Linear' in told

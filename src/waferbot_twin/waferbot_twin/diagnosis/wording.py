@@ -218,8 +218,11 @@ def sentence(diagnosis: Diagnosis) -> str:
     if not diagnosis.causes:
         may_be = _possible(diagnosis)
         if not diagnosis.unexplained:
-            none = 'The model explains these logs: no cause and nothing unexplained was found'
-            return f'{none}{may_be}.'
+            several = (*diagnosis.corrections, *diagnosis.accelerations)
+            corrected = any(not item.low <= item.nominal <= item.high for item in several)
+            model = 'With small corrections the model' if corrected else 'The model'
+            none = 'explains these logs: no cause and nothing unexplained was found'
+            return f'{model} {none}{may_be}.'
         return f'No known cause explains these logs: {left}{may_be}.'
     first = diagnosis.causes[0]
     wordings: list[Callable[[], str]] = [
