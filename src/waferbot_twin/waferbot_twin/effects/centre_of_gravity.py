@@ -6,7 +6,8 @@ The centre of gravity of the heaviest body that the axis carries moves by an off
 axis, given along the base axes at home. Gravity then makes the torque m g x offset, and speed
 couples into the other axes. On a vertical axis gravity is felt only when another axis has tilted
 it. Of bodies of one density none is further off its axis than a rod that turns about its end,
-(3 J / (4 m))^(1/2); each of the two offsets may be as much as makes that together.
+(3 J / (4 m))^(1/2). Each of the two offsets may be as much as makes that together, or as makes 0.4 of
+the rated force, if that is more.
 """
 
 from __future__ import annotations
@@ -34,7 +35,8 @@ def _across(variant: Variant, axis: str) -> tuple[int, ...]:
 def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
     body = places.carried_body(variant, axis)
     typical = 0.05 * places.rated_force(variant, axis) / (9.81 * body.mass)
-    most = math.sqrt(3.0 / 8.0) * places.radius_of_gyration(variant, axis, body)
+    rod = math.sqrt(3.0 / 8.0) * places.radius_of_gyration(variant, axis, body)
+    most = max(8.0 * typical, rod)
     return tuple(
         Parameter(
             f'offset_{"xyz"[place]}', 'm', 0.0, typical, -most, most,
