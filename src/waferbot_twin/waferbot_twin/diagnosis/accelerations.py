@@ -13,6 +13,8 @@ interval leaves out what the model has.
 
 from __future__ import annotations
 
+import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +28,6 @@ from waferbot_twin.estimation.hypothesis import Hypothesis, width_of
 from waferbot_twin.estimation.intervals import NORMAL_95
 from waferbot_twin.residuals.problem import Problem, apply_all
 from waferbot_twin.residuals.record import Array
-
-STEP = 1e-3
-"""Step of the slopes, in usual ways of each parameter; (1) is smooth."""
 
 
 def accelerations(problem: Problem, found: Hypothesis) -> list[Correction]:
@@ -46,7 +45,8 @@ def accelerations(problem: Problem, found: Hypothesis) -> list[Correction]:
     slopes = np.zeros((len(names), len(axes)))
     for number, (place, item) in enumerate(names):
         value = found.causes[place].values[item.name]
-        step = STEP * width_of(found.causes[place], item)
+        # (1) is smooth and has no noise but rounding.
+        step = math.sqrt(sys.float_info.epsilon) * width_of(found.causes[place], item)
         change = np.zeros(len(names))
         change[number] = step if value + step <= item.high else -step
         try:
