@@ -482,6 +482,21 @@ def _samples(
     return np.concatenate(parts), np.concatenate(ends)
 
 
+@compiled
+def _as_corrected(own, row, time_s, since):
+    """
+    Return what an encoder saw at a row, as corrected since then, counts.
+
+    `own` are its rows of what was seen without any correction, of the turns by then and of their levers
+    (turns times time), `since` corrections, turns and levers until now; `time_s` is that of the row.
+    """
+    seen, turned_by, lever_by = own
+    corrected, turned, lever = since
+    path = seen[row] + corrected
+    path += time_s * (turned - turned_by[row])
+    return path - (lever - lever_by[row])
+
+
 @compiled_without_lock
 def _drive(
     state,
@@ -567,23 +582,18 @@ def _drive(
                 late = (row - p['encoder_delay'][encoder]) % LONGEST_DELAY
                 delay_s = row_s * (p['encoder_delay'][encoder] + p['delay_fraction'][encoder])
                 then_s = row * row_s - delay_s
-                predicted = seen[late, encoder] + corrected[encoder]
-                predicted += then_s * (turned[encoder] - turned_by[late, encoder])
-                predicted -= lever[encoder] - lever_by[late, encoder]
+                since = corrected[encoder], turned[encoder], lever[encoder]
+                own = seen[:, encoder], turned_by[:, encoder], lever_by[:, encoder]
+                predicted = _as_corrected(own, late, then_s, since)
                 half_step = half_count * max(p['coarseness'][encoder], 1.0)
                 error = reading[row, encoder] + half_step - predicted
                 if error != error:
                     continue
                 if late_s.shape[0]:
                     if p['encoder_delay'][encoder] > 0:
-                        # The path as corrected since, at the rows beside.
-                        next_, last = (late + 1) % LONGEST_DELAY, late - 1
-                        after = seen[next_, encoder] + corrected[encoder] - predicted
-                        after += (then_s + row_s) * (turned[encoder] - turned_by[next_, encoder])
-                        after -= lever[encoder] - lever_by[next_, encoder]
-                        before = predicted - seen[last, encoder] - corrected[encoder]
-                        before -= (then_s - row_s) * (turned[encoder] - turned_by[last, encoder])
-                        before += lever[encoder] - lever_by[last, encoder]
+                        next_row = (late + 1) % LONGEST_DELAY
+                        after = _as_corrected(own, next_row, then_s + row_s, since) - predicted
+                        before = predicted - _as_corrected(own, late - 1, then_s - row_s, since)
                         speed, bend = 0.5 * (after + before), after - before
                     else:
                         speed, bend = row_s * s['velocity'][coordinate] * per_unit, 0.0
