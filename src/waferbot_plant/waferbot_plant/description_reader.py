@@ -45,6 +45,7 @@ class Reader:
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.parts: dict[str, Any] = {}
+        self._carried: dict[str, Carried] = {}
 
     def section(self, name: str) -> dict[str, Any]:
         """Return a section of the file, empty if it is not there."""
@@ -323,7 +324,12 @@ class Reader:
         return self.parts[name]
 
     def carried_by(self, joint: Joint) -> Carried:
-        """Return what hangs on a joint at home."""
+        """Return what hangs on a joint at home; several connections of a part ask for the same."""
+        if joint.name not in self._carried:
+            self._carried[joint.name] = self._all_carried_by(joint)
+        return self._carried[joint.name]
+
+    def _all_carried_by(self, joint: Joint) -> Carried:
         beyond = {joint.child}
         for _ in self.joints:
             beyond |= {other.child for other in self.joints.values() if other.parent in beyond}

@@ -245,7 +245,11 @@ class Machine:
         return _state_dtype(**room.lengths(self.in_use))
 
     def parameters(self) -> NDArray[np.void]:
-        """Return the parameters, a structured array of one element."""
+        """Return the parameters, a structured array of one element that is the caller's to change."""
+        return self._parameters.copy()
+
+    @cached_property
+    def _parameters(self) -> NDArray[np.void]:
         parameters = np.zeros(1, self.parameter_dtype)
         p = parameters[0]
         description = self.description
@@ -408,6 +412,14 @@ class Machine:
             f'position or speed that is not finite or above {ABSURD:g}; the closed loop is '
             'unstable (gains, damping), or the description needs more substeps'
         )
+
+    def at_rest(self) -> tuple[NDArray[np.void], NDArray[np.void]]:
+        """Return `resting_state` and the parameters, the caller's to change; found once."""
+        return self._resting_state.copy(), self.parameters()
+
+    @cached_property
+    def _resting_state(self) -> NDArray[np.void]:
+        return self.resting_state(self._parameters)
 
     def resting_state(self, parameters: NDArray[np.void]) -> NDArray[np.void]:
         """

@@ -276,8 +276,7 @@ class PlantBlock:
         """
         record = self.record
         machine = built(variant, record.timing)
-        parameters = machine.parameters()
-        state = machine.resting_state(parameters)
+        state, parameters = machine.at_rest()
         p = parameters[0]
         together, behind = self._together(machine, p)
         self._stand_where_measured(state, parameters, together, behind)
