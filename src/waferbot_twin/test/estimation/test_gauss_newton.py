@@ -17,6 +17,7 @@ from waferbot_twin.effects import find
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation import gauss_newton
+from waferbot_twin.estimation.conditional import shown_by
 from waferbot_twin.estimation.gauss_newton import _widths, fit_causes, least_squares_within, moved
 from waferbot_twin.models import load_model
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
@@ -303,3 +304,29 @@ def test_a_fit_ends_where_the_likelihood_is_flat_and_not_the_slope_over_a_usual_
     # Of the normal equations there: the slope is that of equation and log, by hand.
     slope = (1.0 + 60.0 * truth.x[0]) * (1.0 + TIME_S)
     assert error == pytest.approx(1e-3 / float(np.linalg.norm(slope)), rel=0.15)
+
+
+@pytest.mark.parametrize('told', [(), ('amplitude',), ('amplitude', 'rate', 'offset')])
+def test_where_a_fit_has_told_how_far_to_go_signatures_are_not_found_twice(monkeypatch, told):
+    """Only those of which nothing is known are found anew after the first step; the fit is the same."""
+    rng = np.random.default_rng(SEED)
+    print(f'seed {SEED}')
+    problem = Decay(model(3.0, 4.0, 0.5) + 0.01 * rng.standard_normal(len(TIME_S)))
+    causes = decay_causes(-10.0)
+    before = fit_causes(problem, causes)
+    shown = {key: one for key, one in shown_by(problem, before).items() if key[0][:-2] in told}
+    found = []
+    slope = gauss_newton.signature
+
+    def counted(problem, now, every, place, errors):
+        found.append(every[place].name)
+        return slope(problem, now, every, place, errors)
+
+    monkeypatch.setattr(gauss_newton, 'signature', counted)
+    again = fit_causes(problem, causes, rounds=2, shown=shown)
+    once = [f'{name}:x' for name in ('amplitude', 'rate', 'offset')]
+    assert found == [*once, *(name for name in once if name[:-2] not in told)]
+    monkeypatch.undo()
+    again = fit_causes(problem, causes, shown=shown)
+    for one, other in zip(again.causes, before.causes, strict=True):
+        assert one.values['value'] == pytest.approx(other.values['value'], rel=1e-3)

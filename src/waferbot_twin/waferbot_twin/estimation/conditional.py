@@ -19,7 +19,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_twin.estimation.gauss_newton import Names, names_of
+from waferbot_twin.estimation.gauss_newton import Names, Shown, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 from waferbot_twin.estimation.size_prior import LARGEST, information_of_logs
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -95,3 +95,14 @@ def conditional_errors(hypothesis: Hypothesis) -> Array | None:
         return None
     information = information_of_logs(spread, np.zeros(len(spread)))
     return np.asarray(np.diag(information) ** -0.5)
+
+
+def shown_by(problem: Problem, hypothesis: Hypothesis) -> Shown | None:
+    """Return `conditional_errors` by name: with them a fit near here begins; None without a fit."""
+    errors, names = conditional_errors(hypothesis), names_of(problem, hypothesis.causes)
+    if errors is None or len(errors) != len(names):
+        return None
+    return {
+        (hypothesis.causes[place].name, item.name): float(error)
+        for (place, item), error in zip(names, errors, strict=True)
+    }

@@ -16,8 +16,8 @@ Computation 19, 1965),
 
 which costs no simulation, and knows better than differences along single parameters what a
 combination of them does: where an axis sticks and slips, each of them changes when it does, and much of
-that cancels. The first ones are differences over usual ways. They say how far a parameter must move for
-the logs to show it, and after the first step all are found anew, over that way.
+that cancels. Differences are over the way that a parameter must move for the logs to show it. Where
+that is not known, the first ones are over usual ways, and after the first step these are found anew.
 
 With corrected signatures steps are often of the right direction and too short: many of them go down one
 valley. A step along which ln L begins with the slope g has gained a. By the parabola of both, twice the
@@ -30,7 +30,8 @@ and is tried then, and twice that, as long as it does gain more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,6 +82,9 @@ PROMISES = 10.0
 
 Names = Sequence[tuple[int, Parameter]]
 
+Shown = Mapping[tuple[str, str], float]
+"""Standard error of a parameter, all others known, by its cause's name and its own."""
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -120,10 +124,12 @@ def fit_causes(
     enough: float = ENOUGH,
     known: Sequence[Signature] = (),
     roughly: float = 0.0,
+    shown: Shown | None = None,
 ) -> Hypothesis:
     """
     Return the causes with their most probable values, the likeliest ones without a prior of sizes.
 
+    `shown` says how far parameters must move for the logs to show it, where a fit near here has told.
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
     that was gained. `known` are signatures of the first causes that were found near here. Signatures
     are found once, and then corrected by what each step has changed (equation (1)); where a step gains
@@ -135,15 +141,17 @@ def fit_causes(
     bends = [item.shape for _, item in names]
     # Sizes first: a shape goes astray as long as they are wrong.
     first = Reach() if all(bends) else Reach(shapes=0.0)
-    reach, fresh, coarse = first, False, False
-    signatures: list[Signature] = []
-    seen: list[Signature] = []
-    errors: Array | None = None
+    reach, fresh = first, True
+    rest = range(len(known), len(causes))
+    anew: Sequence[Signature | None] = [*known, *(None for _ in rest)]
+    seen, signatures = list[Signature](), anew
+    keys = [(causes[place].name, item.name) for place, item in names]
+    errors = np.array([math.inf if shown is None else shown.get(key, math.inf) for key in keys])
+    vague = {place for (place, _), error in zip(names, errors, strict=True) if error == math.inf}
+    vague.intersection_update(rest)
     for _ in range(rounds if names else 0):
-        if not signatures:
-            signatures = all_signatures(problem, now, workers, known, errors)
-            fresh, coarse = True, errors is None
-        linear, seen = linearise(problem, now, signatures), signatures
+        seen = all_signatures(problem, now, workers, signatures, errors)
+        linear = linearise(problem, now, seen)
         errors = _conditional_errors(linear)
         better, reach = _step(problem, now, names, linear, reach, workers)
         if better is None and fresh and not roughly:
@@ -156,11 +164,17 @@ def fit_causes(
         little = gain < max(enough, roughly * gained)
         # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
         again = little and not fresh and (better is None or not roughly)
-        if better is not None:
-            signatures = [] if again or coarse else _corrected(problem, signatures, now, better)
-            now, fresh, coarse = better, False, False
-        elif again:
-            signatures, reach = [], first
+        if again:
+            signatures, fresh = anew, True
+            reach = first if better is None else reach
+        elif better is None:
+            signatures = seen
+        else:
+            corrected = _corrected(problem, seen, now, better)
+            signatures = [None if n in vague else one for n, one in enumerate(corrected)]
+            fresh = bool(vague) and vague.issuperset(rest)
+            vague.clear()
+        now = better or now
         if little and not again:
             if first == Reach() or not any(bends):
                 break
@@ -169,7 +183,7 @@ def fit_causes(
         return now
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
-        seen = all_signatures(problem, now, workers, known, errors)
+        seen = all_signatures(problem, now, workers, anew, errors)
     return _with_covariance(problem, now, seen)
 
 
@@ -453,26 +467,25 @@ def all_signatures(
     problem: Problem,
     now: Hypothesis,
     workers: int = 1,
-    known: Sequence[Signature] = (),
+    known: Sequence[Signature | None] = (),
     errors: Array | None = None,
 ) -> list[Signature]:
     """
-    Return the signatures of all causes, the first ones `known`, with as many workers as there are.
+    Return the signatures of all causes, with as many workers as there are.
 
-    `errors` (k,) as in `hypothesis.signature`; None where nothing is known of them.
+    Those `known` by their places, which are not None, are kept. `errors` (k,) as in
+    `hypothesis.signature`; None where nothing is known of them.
     """
-    every = range(len(known), len(now.causes))
+    by_place = {place: one for place, one in enumerate(known) if one is not None}
+    every = [place for place in range(len(now.causes)) if place not in by_place]
     # To send the logs to another process takes as long as to simulate some signatures: once to each.
     parts = [every[first::workers] for first in range(min(workers, len(every)))]
     found = Parallel(n_jobs=workers)(
         delayed(_signatures_at)(problem, now, places, errors) for places in parts
     )
-    by_place = {
-        place: one
-        for places, own in zip(parts, found, strict=True)
-        for place, one in zip(places, own, strict=True)
-    }
-    return [*known, *(by_place[place] for place in every)]
+    for places, own in zip(parts, found, strict=True):
+        by_place.update(zip(places, own, strict=True))
+    return [by_place[place] for place in range(len(now.causes))]
 
 
 def _signatures_at(

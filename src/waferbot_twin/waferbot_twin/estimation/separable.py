@@ -15,7 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_twin.estimation.gauss_newton import ENOUGH, ROUNDS, fit_causes
+from waferbot_twin.estimation.conditional import shown_by
+from waferbot_twin.estimation.gauss_newton import ENOUGH, ROUNDS, Shown, fit_causes
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, parameters_of
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -54,13 +55,15 @@ def fitted_apart(
     known: Mapping[str, Signature] | None = None,
     rounds: int = ROUNDS,
     roughly: float = 0.0,
+    shown: Shown | None = None,
 ) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
     A fit ends where a round gains less than `enough` in ln L, or the share `roughly` of all that was
     gained, or after so many `rounds`. `known` are signatures of all causes by name that were found near
-    here. Raises `UserError` if the simulation blows up where a fit begins.
+    here, `shown` as in `gauss_newton.fit_causes`. Raises `UserError` if the simulation blows up where a
+    fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
@@ -68,7 +71,7 @@ def fitted_apart(
         own = tuple(causes[place] for place in one.places)
         signatures = [known[cause.name] for cause in own] if known else []
         fit = fit_causes(
-            problem.only(one.blocks), own, rounds, workers, enough, signatures, roughly
+            problem.only(one.blocks), own, rounds, workers, enough, signatures, roughly, shown
         )
         parts.append((one.places, fit))
         untouched -= one.blocks
@@ -125,7 +128,8 @@ def refined(
     others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
     one = Behind.of(problem, others, last)
     causes = (*one.beside.causes, last)
-    return one.whole(fit_causes(one.problem, causes, workers=workers, enough=enough))
+    shown = shown_by(problem, found)
+    return one.whole(fit_causes(one.problem, causes, workers=workers, enough=enough, shown=shown))
 
 
 def fitted_without(
@@ -148,7 +152,8 @@ def fitted_without(
     others = [other for other in range(len(found.causes)) if other not in one.places]
     own = problem.only(one.blocks)
     kept = tuple(found.causes[other] for other in beside)
-    again = fitted_apart(own, kept, workers, enough, known, rounds)
+    shown = shown_by(problem, found)
+    again = fitted_apart(own, kept, workers, enough, known, rounds, shown=shown)
     rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
 
     def moved_up(places: Sequence[int]) -> list[int]:

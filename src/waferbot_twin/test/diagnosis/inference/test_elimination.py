@@ -122,7 +122,7 @@ def judged(monkeypatch):
         monkeypatch.setattr(
             elimination,
             'fitted',
-            lambda problem, causes, workers, enough: SimpleNamespace(causes=causes),
+            lambda problem, causes, workers, enough, near: SimpleNamespace(causes=causes),
         )
         pool = SimpleNamespace(**vars(POOL), workers=1)
         found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects, tentative)
@@ -260,7 +260,7 @@ def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):
         '_eliminated',
         lambda pool, found, names: [cause.name for cause in found.causes],
     )
-    pool = SimpleNamespace(**vars(POOL), workers=1)
+    pool = SimpleNamespace(**vars(POOL), workers=1, signatures_of=lambda found: found.causes)
     assert elimination._without_some(pool, found, NAMES) is None
 
 

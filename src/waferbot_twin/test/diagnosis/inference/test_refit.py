@@ -49,7 +49,7 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     rounds = []
     of_apart = refit.fitted_apart
 
-    def fitted_apart(problem, causes, workers, enough, known, most):
+    def fitted_apart(problem, causes, workers, enough, known, most, shown=None):
         rounds.append((bool(known), most))
         return of_apart(problem, causes, workers, enough, known, 1)
 

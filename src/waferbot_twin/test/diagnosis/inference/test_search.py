@@ -93,7 +93,7 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
 
     for name, value in {
         'evaluate': lambda problem: hypothesis(),
-        'fitted': lambda problem, causes, workers: fitted if stands else None,
+        'fitted': lambda problem, causes, workers, near: fitted if stands else None,
         'as_fitted': lambda pool, found, cause: SingleEffect(
             (Member(hypothesis(cause.name), 0.0, -3.0, 1.0),), 0.0
         ),

@@ -35,6 +35,7 @@ from waferbot_twin.estimation.size_prior import (
     precision,
     scales_of,
 )
+from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
 
@@ -125,7 +126,7 @@ def _with_next_member(
         return None
     instead = members[0].cause
     causes = [instead if cause.name == name else cause for cause in found.causes]
-    again = fitted(pool.problem, each_once(pool.problem, causes), pool.workers, ENOUGH)
+    again = fitted(pool.problem, each_once(pool.problem, causes), pool.workers, ENOUGH, found)
     if again is None:
         return None
     own = with_odds(SingleEffect(members, effect.none), effect.log_odds)
@@ -160,8 +161,7 @@ def odds_beside(
         gained = gain(more, base, parts=True) if parts else None
         return log_evidence(problem, more, base, scales, gained) + prior
 
-    names = [cause.name for cause in found.causes]
-    signatures = dict(zip(names, pool.signatures_of(found), strict=True))
+    signatures = _signatures_by_name(pool, found)
     first: tuple[Cause, ...] = ()
     try:
         begun = without_by_linear(problem, found, name)
@@ -179,17 +179,24 @@ def odds_beside(
     return odds_against(base), base
 
 
+def _signatures_by_name(pool: CandidatePool | Judged, found: Hypothesis) -> dict[str, Signature]:
+    names = [cause.name for cause in found.causes]
+    return dict(zip(names, pool.signatures_of(found), strict=True))
+
+
 def _without_some(
     pool: CandidatePool, found: Hypothesis, names: Sequence[str]
 ) -> Hypothesis | None:
     """
     Return a hypothesis without all causes that the linear problem finds not evident, if those are many.
 
-    Half of them if the logs may want one back, and so on; None if that is less than two.
+    Half of them if the logs may want one back, and so on; None if that is less than two. Fitted with the
+    signatures of `found`: what that leaves over is no less than what the best fit does.
     """
     out = _eliminated(pool, found, names)
+    known = _signatures_by_name(pool, found) if len(out) > 1 else {}
     while len(out) > 1:
-        again = without(pool.problem, found, out, pool.workers)
+        again = without(pool.problem, found, out, pool.workers, known)
         if _most_odds_of_one(pool, found, again, out) <= 0.0:
             return again
         out = out[: len(out) // 2]

@@ -116,7 +116,7 @@ def ask_on(
             first = [cause for cause in pool.usual() if cause.name not in there]
         if without_name:
             together = each_once(pool.problem, (*causes, *first))
-            found = fitted(pool.problem, together, pool.workers) or found
+            found = fitted(pool.problem, together, pool.workers, near=found) or found
         else:
             found = fitted_together(pool, best.found, (*causes, *first))
         names = {cause.name for cause in found.causes}
@@ -232,7 +232,9 @@ def fitted_together(
     cause fitted on.
     """
     together = each_once(pool.problem, causes)
-    joint = fitted(pool.problem, together, pool.workers) if together != found.causes else None
+    if together == found.causes:
+        return fitted_on(pool.problem, found, pool.workers)
+    joint = fitted(pool.problem, together, pool.workers, near=found)
     return joint or fitted_on(pool.problem, found, pool.workers)
 
 

@@ -17,7 +17,7 @@ from waferbot_twin.diagnosis.proposals.compliance_scan import may_ring, tuned
 from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.diagnosis.proposals.screening import Progress, Screened, stage
 from waferbot_twin.diagnosis.proposals.threshold_grid import between_rungs
-from waferbot_twin.estimation.conditional import others_without
+from waferbot_twin.estimation.conditional import others_without, shown_by
 from waferbot_twin.estimation.gauss_newton import ENOUGH as TO_THE_END
 from waferbot_twin.estimation.gauss_newton import ROUNDS as TO_CONVERGENCE
 from waferbot_twin.estimation.gauss_newton import fit_causes, log_posterior_ratio, moved, names_of
@@ -102,11 +102,20 @@ def _shape(problem: Problem, cause: Cause) -> dict[str, float]:
 
 
 def fitted(
-    problem: Problem, causes: tuple[Cause, ...], workers: int = 1, enough: float = ENOUGH
+    problem: Problem,
+    causes: tuple[Cause, ...],
+    workers: int = 1,
+    enough: float = ENOUGH,
+    near: Hypothesis | None = None,
 ) -> Hypothesis | None:
-    """Return causes fitted; None if the machine does not stand with them alone."""
+    """
+    Return causes fitted; None if the machine does not stand with them alone.
+
+    `near` is a fit with all of them, if there was one.
+    """
+    shown = None if near is None else shown_by(problem, near)
     try:
-        return fitted_apart(problem, causes, workers, enough)
+        return fitted_apart(problem, causes, workers, enough, shown=shown)
     except UserError:
         return None
 
@@ -121,7 +130,7 @@ def fitted_on(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothes
 
 def to_the_end(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothesis:
     """Return a hypothesis fitted to the end; as it is if that blows up."""
-    return fitted(problem, found.causes, workers, TO_THE_END) or found
+    return fitted(problem, found.causes, workers, TO_THE_END, found) or found
 
 
 def begun_elsewhere(
@@ -135,28 +144,42 @@ def begun_elsewhere(
     Return a hypothesis with one of its causes begun at one of some `trials`, if that is more probable.
 
     What a cause changes in a ring is its phase, so the likelihood over its size has many maxima; which
-    of them is the highest depends on what else is known by then. With the signatures of `found` by name
-    (`known`) such a fit costs few simulations; the best is fitted to the end.
+    of them is the highest depends on what else is known by then. The likeliest of the trials is fitted,
+    first with the signatures of `found` by name (`known`), which costs few simulations.
     """
     pool = Parallel(n_jobs=workers if len(trials) > 1 else 1)
-    begun = pool(delayed(_begun_at)(problem, found.causes, trial, known) for trial in trials)
-    ratios = [
-        -math.inf if one is None else log_posterior_ratio(problem, one, found) for one in begun
-    ]
-    if max(ratios, default=0.0) <= ENOUGH:
+    ratios = pool(delayed(_tried)(problem, found, trial) for trial in trials)
+    if max(ratios, default=-math.inf) == -math.inf:
         return found
-    best = begun[int(np.argmax(ratios))]
-    assert best is not None
-    return to_the_end(problem, best, workers)
+    likeliest = trials[int(np.argmax(ratios))]
+    begun = _begun_at(problem, found.causes, likeliest, known, workers)
+    if begun is None or log_posterior_ratio(problem, begun, found) <= ENOUGH:
+        return found
+    return to_the_end(problem, begun, workers)
+
+
+def _tried(problem: Problem, found: Hypothesis, trial: Cause) -> float:
+    """Return how much more probable a hypothesis is with one of its causes as in a trial, in ln."""
+    try:
+        return log_posterior_ratio(problem, evaluate(problem, _with(found.causes, trial)), found)
+    except UserError:
+        return -math.inf
+
+
+def _with(causes: Sequence[Cause], trial: Cause) -> tuple[Cause, ...]:
+    return tuple(trial if cause.name == trial.name else cause for cause in causes)
 
 
 def _begun_at(
-    problem: Problem, causes: Sequence[Cause], trial: Cause, known: Mapping[str, Signature]
+    problem: Problem,
+    causes: Sequence[Cause],
+    trial: Cause,
+    known: Mapping[str, Signature],
+    workers: int,
 ) -> Hypothesis | None:
     """Return causes fitted from where one is as in a trial; None if the machine does not stand there."""
-    started = tuple(trial if cause.name == trial.name else cause for cause in causes)
     try:
-        return fitted_apart(problem, started, 1, ENOUGH, known, ROUNDS, ROUGHLY)
+        return fitted_apart(problem, _with(causes, trial), workers, ENOUGH, known, ROUNDS, ROUGHLY)
     except UserError:
         return None
 
@@ -189,7 +212,8 @@ def without(
     rounds = ROUNDS if known else TO_CONVERGENCE
     try:
         if once != start or len(places) > 1:
-            return fitted_apart(problem, once, workers, ENOUGH, known, rounds)
+            shown = shown_by(problem, found)
+            return fitted_apart(problem, once, workers, ENOUGH, known, rounds, shown=shown)
         causes = list(found.causes)
         for place, cause in zip(kept, start, strict=True):
             causes[place] = cause

@@ -33,7 +33,8 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     nothing = evaluate(pool.problem)
     found, effects = nothing, list[SingleEffect]()
     if begun is not None:
-        found = fitted(pool.problem, begun.found.causes, pool.workers) or nothing
+        causes = begun.found.causes
+        found = fitted(pool.problem, causes, pool.workers, near=begun.found) or nothing
         effects = [
             with_odds(as_fitted(pool, found, cause), effect.log_odds)
             for cause, effect in zip(found.causes, begun.effects, strict=False)
