@@ -111,7 +111,7 @@ def fitted(
     """
     Return causes fitted; None if the machine does not stand with them alone.
 
-    `near` is a fit with all of them, if there was one.
+    `near` is a fit with some or all of them, if there was one.
     """
     shown = None if near is None else shown_by(problem, near)
     try:
