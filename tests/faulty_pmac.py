@@ -4,6 +4,7 @@
 import contextlib
 import math
 import sys
+import time
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -24,7 +25,7 @@ class FaultyPmac(Node):
         self.create_subscription(Stop, 'stop', self.on_stop, 10)
         self.create_timer(0.1, self.repeat)
         self.answer = None
-        if FAULT == 'speaks first':
+        if FAULT in ('speaks first', 'starts late and speaks first'):
             self.answer = self.answer_to(Encoders(tick=0))
 
     def answer_to(self, encoders):
@@ -61,5 +62,7 @@ class FaultyPmac(Node):
 
 
 rclpy.init()
+if FAULT == 'starts late and speaks first':
+    time.sleep(3)
 with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
     rclpy.spin(FaultyPmac())

@@ -16,6 +16,7 @@ FAULTY = [sys.executable, str(Path(__file__).parent / 'faulty_pmac.py')]
 
 FAULTS = {
     'speaks first': ('begins', 'spoke of tick 0 before it had any input'),
+    'starts late and speaks first': ('begins', 'spoke of tick 0 before it had any input'),
     'stamps by accumulating': ('runs', 'tick 24 has the stamp 1333332 ns; it must be 1333333 ns'),
     'speaks for a fourth axis': ('runs', 'tick 0 speaks for axes that do not exist: 0xf'),
     'divides by zero': ('runs', 'tick 0 holds a value that is no finite number'),

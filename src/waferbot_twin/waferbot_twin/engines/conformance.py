@@ -133,6 +133,15 @@ class Peers(Node):
         if stop.node != self.get_fully_qualified_name():
             self.stops.append(stop)
 
+    def topics_missing(self) -> str:
+        """Return the topics that the node under test has not opened yet, for texts; '' if none."""
+        missing = [
+            f'/{topic.name}' for topic in self.inputs if not self.count_subscribers(topic.name)
+        ]
+        if not self.count_publishers(self.output.name):
+            missing.append(f'/{self.output.name}')
+        return ', '.join(missing)
+
     def due(self, tick: int) -> list[Topic]:
         """Return the inputs that have a message at a tick."""
         return [topic for topic in self.inputs if tick % topic.ticks_between(self.timing) == 0]
@@ -276,9 +285,15 @@ Check = Callable[[Trial], tuple[str, str]]
 
 def begins(trial: Trial) -> tuple[str, str]:
     """Answer tick 0, however late the inputs come, and nothing before."""
-    trial.spin_until(lambda: trial.peers.answers or trial.over(), PAUSE_S)
-    if trial.peers.answers:
-        raise Deviation(f'spoke of tick {trial.peers.answers[0].tick} before it had any input')
+    peers = trial.peers
+    # Its silence tells nothing before it can be heard: a busy computer takes seconds to start it.
+    if not trial.spin_until(
+        lambda: peers.answers or trial.over() or not peers.topics_missing(), START_S
+    ):
+        raise Deviation(f'did not open {peers.topics_missing()} within {START_S:g} s')
+    trial.spin_until(lambda: peers.answers or trial.over(), PAUSE_S)
+    if peers.answers:
+        raise Deviation(f'spoke of tick {peers.answers[0].tick} before it had any input')
     trial.run(range(1), START_S)
     return RIGHT, 'said nothing without inputs, and answered tick 0'
 
