@@ -330,3 +330,50 @@ def test_where_a_fit_has_told_how_far_to_go_signatures_are_not_found_twice(monke
     again = fit_causes(problem, causes, shown=shown)
     for one, other in zip(again.causes, before.causes, strict=True):
         assert one.values['value'] == pytest.approx(other.values['value'], rel=1e-3)
+
+
+class InSteps(Decay):
+    """A decay that can be simulated in longer steps, which make another one of it."""
+
+    longer = False
+
+    def residuals(self, variant, block, workers=1):
+        rate = 0.9 * variant.get('rate', 0.0) if self.longer else variant.get('rate', 0.0)
+        return super().residuals({**variant, 'rate': rate}, block)
+
+    def quick(self):
+        other = InSteps(self.measured)
+        other.longer = True
+        return other
+
+
+@pytest.mark.parametrize('near', [(), ('amplitude',), ('amplitude', 'rate', 'offset')])
+@pytest.mark.parametrize('roughly', [0.0, 1e-2])
+def test_a_fit_of_a_search_begins_with_what_is_near_or_in_longer_steps(monkeypatch, near, roughly):
+    """And ends with its own signatures, unless a rough fit is all that is wanted."""
+    rng = np.random.default_rng(SEED)
+    print(f'seed {SEED}')
+    problem = InSteps(model(3.0, 4.0, 0.5) + 0.01 * rng.standard_normal(len(TIME_S)))
+    causes = decay_causes(-10.0)
+    before = fit_causes(problem, causes)
+    names = [cause.name for cause in causes]
+    each = gauss_newton.all_signatures(problem, before)
+    begun = {name: one for name, one in zip(names, each, strict=True) if name[:-2] in near}
+    found = []
+    slope = gauss_newton.signature
+
+    def told(problem, now, every, place, errors):
+        found.append((every[place].name, problem.longer))
+        return slope(problem, now, every, place, errors)
+
+    monkeypatch.setattr(gauss_newton, 'signature', told)
+    again = fit_causes(
+        problem, causes, enough=0.3, roughly=roughly, shown=shown_by(problem, before), begun=begun
+    )
+    first = [name for name in names if name not in begun]
+    assert found[: len(first)] == [(name, True) for name in first]
+    assert found[len(first) :] == [(name, bool(roughly)) for name in names]
+    error = np.sqrt(np.diag(before.covariance))
+    far = 0.5 if roughly else 0.1
+    for one, other, deviation in zip(again.causes, before.causes, error, strict=True):
+        assert one.values['value'] == pytest.approx(other.values['value'], abs=far * deviation)

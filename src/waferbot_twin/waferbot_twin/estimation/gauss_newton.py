@@ -18,6 +18,8 @@ which costs no simulation, and knows better than differences along single parame
 combination of them does: where an axis sticks and slips, each of them changes when it does, and much of
 that cancels. Differences are over the way that a parameter must move for the logs to show it. Where
 that is not known, the first ones are over usual ways, and after the first step these are found anew.
+Each is a simulation. So a fit that does not go to the end begins with those that were found near it, or
+in longer steps of the plant, and has its own where these lead no further.
 
 With corrected signatures steps are often of the right direction and too short: many of them go down one
 valley. A step along which ln L begins with the slope g has gained a. By the parabola of both, twice the
@@ -44,6 +46,7 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
+    in_quick_steps,
     log_likelihood_ratio,
     parameters_of,
     signature,
@@ -125,32 +128,38 @@ def fit_causes(
     known: Sequence[Signature] = (),
     roughly: float = 0.0,
     shown: Shown | None = None,
+    begun: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return the causes with their most probable values, the likeliest ones without a prior of sizes.
 
-    `shown` says how far parameters must move for the logs to show it, where a fit near here has told.
-    The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all
-    that was gained. `known` are signatures of the first causes that were found near here. Signatures
-    are found once, and then corrected by what each step has changed (equation (1)); where a step gains
-    too little they are found anew, those that are `known` excepted, before the fit ends. Raises
-    `UserError` if the simulation blows up where the fit begins.
+    `shown` says how far parameters must move for the logs to show it, where a fit near here has told,
+    and `begun` are signatures from there by the cause's name, with which this one begins. `known` are
+    signatures of the first causes that were found near here.
+
+    The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all that
+    was gained. Signatures are found once, and then corrected by what each step has changed (equation
+    (1)); where a step gains too little they are found anew, those that are `known` excepted, before the
+    fit ends. Raises `UserError` if the simulation blows up where the fit begins.
     """
     now, gained = evaluate(problem, causes, workers), 0.0
     names = names_of(problem, causes)
     bends = [item.shape for _, item in names]
     # Sizes first: a shape goes astray as long as they are wrong.
     first = Reach() if all(bends) else Reach(shapes=0.0)
-    reach, fresh = first, True
     rest = range(len(known), len(causes))
     anew: Sequence[Signature | None] = [*known, *(None for _ in rest)]
-    seen, signatures = list[Signature](), anew
+    quick = enough > ENOUGH and bool(rest)
+    reach, fresh = first, not quick or bool(roughly)
+    seen = list[Signature]()
+    signatures: Sequence[Signature | None]
+    signatures = [*known, *(_near(problem, cause, begun) for cause in causes[len(known) :])]
     keys = [(causes[place].name, item.name) for place, item in names]
     errors = np.array([math.inf if shown is None else shown.get(key, math.inf) for key in keys])
     vague = {place for (place, _), error in zip(names, errors, strict=True) if error == math.inf}
-    vague.intersection_update(rest)
+    vague.intersection_update(place for place, one in enumerate(signatures) if one is None)
     for _ in range(rounds if names else 0):
-        seen = all_signatures(problem, now, workers, signatures, errors)
+        seen = _signatures(problem, now, workers, signatures, errors, quick)
         linear = linearise(problem, now, seen)
         errors = _conditional_errors(linear)
         better, reach = _step(problem, now, names, linear, reach, workers)
@@ -162,29 +171,55 @@ def fit_causes(
         gain = 0.0 if better is None else log_posterior_ratio(problem, better, now)
         gained += gain
         little = gain < max(enough, roughly * gained)
+        held = first != Reach() and any(bends)
         # Little may be that of corrected signatures alone, unless a rough fit is all that is wanted.
-        again = little and not fresh and (better is None or not roughly)
+        again = little and not fresh and (better is None or not roughly) and not (quick and held)
         if again:
-            signatures, fresh = anew, True
+            signatures, fresh, quick = anew, True, False
             reach = first if better is None else reach
         elif better is None:
             signatures = seen
         else:
             corrected = _corrected(problem, seen, now, better)
             signatures = [None if n in vague else one for n, one in enumerate(corrected)]
-            fresh = bool(vague) and vague.issuperset(rest)
+            fresh = bool(vague) and vague.issuperset(rest) and (not quick or bool(roughly))
             vague.clear()
         now = better or now
         if little and not again:
-            if first == Reach() or not any(bends):
+            if not held:
                 break
             first = reach = Reach()
     if not seen:
         return now
     if roughly:
         # Corrected signatures say where to go, not how well a value is known.
-        seen = all_signatures(problem, now, workers, anew, errors)
+        seen = _signatures(problem, now, workers, anew, errors, quick)
     return _with_covariance(problem, now, seen)
+
+
+def _near(
+    problem: Problem, cause: Cause, begun: Mapping[str, Signature] | None
+) -> Signature | None:
+    """Return the signature of a cause that was found near here; None if none is of its parameters."""
+    found = begun.get(cause.name) if begun else None
+    count = len(parameters_of(problem, cause))
+    if found is None or any(matrix.shape[1] != count for matrix in found.values()):
+        return None
+    return found
+
+
+def _signatures(
+    problem: Problem,
+    now: Hypothesis,
+    workers: int,
+    known: Sequence[Signature | None],
+    errors: Array,
+    quick: bool,
+) -> list[Signature]:
+    """Return `all_signatures`, what is not known of them in longer steps of the plant if `quick`."""
+    if quick and any(one is None for one in known):
+        problem, now = in_quick_steps(problem, now)
+    return all_signatures(problem, now, workers, known, errors)
 
 
 def _with_covariance(

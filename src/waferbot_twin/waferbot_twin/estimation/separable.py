@@ -56,14 +56,15 @@ def fitted_apart(
     rounds: int = ROUNDS,
     roughly: float = 0.0,
     shown: Shown | None = None,
+    begun: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return causes with the values that make the logs most likely, component by component.
 
     A fit ends where a round gains less than `enough` in ln L, or the share `roughly` of all that was
     gained, or after so many `rounds`. `known` are signatures of all causes by name that were found near
-    here, `shown` as in `gauss_newton.fit_causes`. Raises `UserError` if the simulation blows up where a
-    fit begins.
+    here, `shown` and `begun` as in `gauss_newton.fit_causes`. Raises `UserError` if the simulation blows
+    up where a fit begins.
     """
     parts: list[tuple[Sequence[int], Hypothesis]] = []
     untouched = frozenset(problem.blocks)
@@ -71,7 +72,15 @@ def fitted_apart(
         own = tuple(causes[place] for place in one.places)
         signatures = [known[cause.name] for cause in own] if known else []
         fit = fit_causes(
-            problem.only(one.blocks), own, rounds, workers, enough, signatures, roughly, shown
+            problem.only(one.blocks),
+            own,
+            rounds,
+            workers,
+            enough,
+            signatures,
+            roughly,
+            shown,
+            begun,
         )
         parts.append((one.places, fit))
         untouched -= one.blocks
@@ -117,19 +126,26 @@ class Behind:
 
 
 def refined(
-    problem: Problem, found: Hypothesis, workers: int = 1, enough: float = ENOUGH
+    problem: Problem,
+    found: Hypothesis,
+    workers: int = 1,
+    enough: float = ENOUGH,
+    roughly: float = 0.0,
+    begun: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return a hypothesis with what belongs together with its last cause fitted on.
 
-    Raises `UserError` if the simulation blows up where the fit begins.
+    `roughly` and `begun` as in `fitted_apart`. Raises `UserError` if the simulation blows up where the
+    fit begins.
     """
     last = found.causes[-1]
     others = part_of(problem, found, range(len(found.causes) - 1), frozenset(problem.blocks))
     one = Behind.of(problem, others, last)
     causes = (*one.beside.causes, last)
     shown = shown_by(problem, found)
-    return one.whole(fit_causes(one.problem, causes, workers=workers, enough=enough, shown=shown))
+    again = fit_causes(one.problem, causes, ROUNDS, workers, enough, (), roughly, shown, begun)
+    return one.whole(again)
 
 
 def fitted_without(
@@ -140,11 +156,13 @@ def fitted_without(
     enough: float = ENOUGH,
     known: Mapping[str, Signature] | None = None,
     rounds: int = ROUNDS,
+    roughly: float = 0.0,
+    begun: Mapping[str, Signature] | None = None,
 ) -> Hypothesis:
     """
     Return a hypothesis without one of its causes, what belonged together with that fitted anew.
 
-    `known` and `rounds` as in `fitted_apart`.
+    `known`, `rounds`, `roughly` and `begun` as in `fitted_apart`.
     Raises `UserError` if the machine does not stand without it.
     """
     one = next(c for c in components(problem, found.causes) if place in c.places)
@@ -153,7 +171,7 @@ def fitted_without(
     own = problem.only(one.blocks)
     kept = tuple(found.causes[other] for other in beside)
     shown = shown_by(problem, found)
-    again = fitted_apart(own, kept, workers, enough, known, rounds, shown=shown)
+    again = fitted_apart(own, kept, workers, enough, known, rounds, roughly, shown, begun)
     rest = part_of(problem, found, others, frozenset(problem.blocks) - one.blocks)
 
     def moved_up(places: Sequence[int]) -> list[int]:

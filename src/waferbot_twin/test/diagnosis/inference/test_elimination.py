@@ -189,42 +189,47 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(judged):
 
 
 @pytest.mark.parametrize(
-    ('gained', 'at_first', 'fits', 'odds'),
+    ('gained', 'evidence', 'odds'),
     [
-        (4.0, 20.0, 1, 17.0),  # plain even if another fit gained as much again
-        (18.0, 20.0, 2, 1.0),  # not plain: the signatures without the cause have the last word
-        (0.0, 2.0, 1, -1.0),  # not evident, and another fit makes it less so
+        ([4.0], [20.0], 17.0),  # plain even if another fit gained as much again
+        (
+            [18.0, 18.0],
+            [20.0, 2.0],
+            -1.0,
+        ),  # not plain: a rough fit with its own signatures, too low
+        (
+            [18.0, 1.0],
+            [20.0, 19.0],
+            16.0,
+        ),  # not plain: a rough fit says that there is little to gain
+        ([18.0, 9.0], [20.0, 11.0, 10.0], 7.0),  # nor that: it is fitted to the end
+        ([0.0], [2.0], -1.0),  # not evident, and another fit makes it less so
     ],
 )
-def test_a_second_fit_is_made_where_it_may_change_the_answer(
-    monkeypatch, gained, at_first, fits, odds
-):
+def test_another_fit_is_made_where_it_may_change_the_answer(monkeypatch, gained, evidence, odds):
     """With the signatures as they are with a cause, a fit without it is quick, and not the best."""
     found = least_squares(np.eye(4), np.ones(4), NAMES)
-    made = []
-    first, second = (SimpleNamespace(causes=causes) for causes in (('as it was left',), ('best',)))
+    made, gained = [], list(gained)
 
-    def without(problem, found, names, workers=1, known=None, begun=()):
-        made.append(known)
-        assert begun == (() if known else first.causes)
-        return first if known else second
+    def without(problem, found, names, workers=1, known=None, start=(), begun=None, roughly=0.0):
+        assert start == (made[-1].causes if made else ())
+        assert (known or begun).keys() == {cause.name for cause in found.causes}
+        assert bool(known) == (not made)
+        assert bool(roughly) == (len(made) == 1)
+        made.append(SimpleNamespace(causes=(f'fit {len(made)}',), evidence=evidence[len(made)]))
+        return made[-1]
 
     monkeypatch.setattr(elimination, 'without', without)
     monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
-    monkeypatch.setattr(elimination, 'gain', lambda one, other: gained)
-    monkeypatch.setattr(
-        elimination,
-        'log_evidence',
-        lambda p, more, fewer, s, gained: at_first if fewer is first else 4.0,
-    )
+    monkeypatch.setattr(elimination, 'gain', lambda one, other: gained.pop(0) if gained else 100.0)
+    monkeypatch.setattr(elimination, 'log_evidence', lambda p, more, fewer, *_: fewer.evidence)
     pool = SimpleNamespace(
         **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
     )
     value, base = elimination.odds_beside(pool, found, 'one:x')
     assert value == odds
-    assert len(made) == fits
-    assert made[0].keys() == {cause.name for cause in found.causes}
-    assert base is (second if fits > 1 else first)
+    assert len(made) == len(evidence)
+    assert base is made[-1]
 
 
 def test_the_odds_by_parts_of_the_logs_have_the_gain_of_the_parts(monkeypatch):

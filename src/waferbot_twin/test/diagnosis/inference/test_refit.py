@@ -49,7 +49,7 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     rounds = []
     of_apart = refit.fitted_apart
 
-    def fitted_apart(problem, causes, workers, enough, known, most, shown=None):
+    def fitted_apart(problem, causes, workers, enough, known, most, *_):
         rounds.append((bool(known), most))
         return of_apart(problem, causes, workers, enough, known, 1)
 
@@ -57,7 +57,7 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     monkeypatch.setattr(
         refit,
         'fitted_without',
-        lambda p, found, place, workers, enough, known, most: fitted_apart(
+        lambda p, found, place, workers, enough, known, most, *_: fitted_apart(
             p, (found.causes[1],), workers, enough, known, most
         ),
     )
@@ -94,7 +94,7 @@ def test_what_rings_is_found_from_a_wrong_maximum(true, start):
     )
     (stuck,) = found.causes
     trials = list(at_its_sizes(effect.parameters(nominal, 'y_linear'), stuck))
-    better = refit.begun_elsewhere(problem, found, trials, known)
+    better = refit.to_the_end(problem, refit.begun_elsewhere(problem, found, trials, known))
     assert size(better) == pytest.approx(true, rel=0.01)
     assert better.log_likelihood > found.log_likelihood + 100.0
     again = refit.begun_elsewhere(problem, better, trials, known)

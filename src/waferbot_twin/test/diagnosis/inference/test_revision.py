@@ -29,7 +29,7 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
         names = sorted((cause.name for cause in found.causes), key=lambda one: one == name)
         return hypothesis(*names)
 
-    def fitted_on(pool, found, causes):
+    def fitted_on(pool, found, causes, beside):
         return hypothesis('first', 'third', 'another')
 
     monkeypatch.setattr(revision, 'with_last', with_last)

@@ -41,9 +41,9 @@ def test_what_gains_most_of_it_and_only_without_it_may_be_in_its_place():
         'nothing': {PLANT: np.zeros((2000, 1))},
     }
     changes = [(name, Change(signature)) for name, signature in rivals.items()]
-    assert alike(base, {PLANT: whole[:, None]}, changes, {PLANT: known[:, None]}) == [
-        'most of it',
-        'by two parameters',
-        'with what is known',
-        'better than it',
+    causes = [{PLANT: one[:, None]} for one in (whole, 3.0 * lacking, 0.0 * own)]
+    assert alike(base, causes, changes, {PLANT: known[:, None]}) == [
+        ['most of it', 'by two parameters', 'with what is known', 'better than it'],
+        ['another that lacks'],
+        [],
     ]

@@ -30,7 +30,7 @@ from waferbot_twin.diagnosis.proposals.cogging_orders import (
     has_orders,
     log_prior_of_orders,
 )
-from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
+from waferbot_twin.diagnosis.proposals.compliance_scan import held_rigid, screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
 from waferbot_twin.diagnosis.proposals.periodogram import at_tones
 from waferbot_twin.diagnosis.proposals.rings import Rings
@@ -57,6 +57,7 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     in_quick_steps,
     lets_go,
+    parameters_of,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
@@ -204,6 +205,14 @@ class CandidatePool:
                 first.setdefault(cause.name, cause)
         return tuple(first.values())
 
+    def parts_that_may_give(self) -> tuple[Cause, ...]:
+        """Return the compliances of what the model holds rigid, each as its description has it."""
+        found: dict[str, Cause] = {}
+        for cause in held_rigid(self.problem, self._candidates):
+            sizes = {item.name: item.typical for item in parameters_of(self.problem, cause)}
+            found.setdefault(cause.name, cause.with_values(sizes))
+        return tuple(found.values())
+
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""
         problem = self.problem
@@ -278,7 +287,8 @@ class CandidatePool:
         rivals, same = self._similar(base, found), self._same_beside(base, found.causes[-1])
         changes = signatures(problem, base, [*rivals, *same], self.workers, self.progress)
         by_rival = dict(zip(map(id, (*rivals, *same)), changes, strict=True))
-        near = [*self._alike(base, found, of_others, rivals, changes[: len(rivals)]), *same]
+        (alike,) = self._alike(base, [found], of_others, rivals, changes[: len(rivals)])
+        near = [*alike, *same]
         return screen(
             problem,
             base,
@@ -289,27 +299,34 @@ class CandidatePool:
             self.workers,
         )
 
-    def could_stand_for(self, found: Hypothesis, of_others: Sequence[Signature]) -> list[Cause]:
+    def could_stand_for(self, base: Hypothesis, found: Sequence[Hypothesis]) -> list[list[Cause]]:
         """
-        Return which candidates may stand for the last cause of a hypothesis, without a simulation.
+        Return which candidates may stand for the last cause of each of some hypotheses.
 
-        As `in_place_of`, but by what they change in the nominal model. `of_others` are the signatures of
-        its other causes.
+        Each is `base` with one more cause. As `in_place_of`, but by what they change in the nominal
+        model, without a simulation.
         """
-        try:
-            base = evaluate(self.problem, found.causes[:-1])
-        except UserError:
-            return []
-        rivals = self._in_its_blocks(found)
-        changes = [self._changes[self._at_first(one)] for one in rivals]
-        near = self._alike(base, found, of_others, rivals, changes)
-        return [*near, *self._same_beside(base, found.causes[-1])]
+        of_others = self.signatures_of(base)
+        near: list[list[Cause]] = [[] for _ in found]
+        by_blocks: dict[tuple[str, ...], list[int]] = {}
+        for place, one in enumerate(found):
+            blocks = self.problem.touched(one.causes[-1].effect, one.causes[-1].axis)
+            by_blocks.setdefault(tuple(blocks), []).append(place)
+        for places in by_blocks.values():
+            same = [found[place] for place in places]
+            rivals = self._in_blocks_of(same[0].causes[-1], base.causes)
+            changes = [self._changes[self._at_first(one)] for one in rivals]
+            alike = self._alike(base, same, of_others, rivals, changes)
+            for place, own in zip(places, alike, strict=True):
+                last = found[place].causes[-1]
+                others = [one for one in own if one.name != last.name]
+                near[place] = [*others, *self._same_beside(base, last)]
+        return near
 
-    def _in_its_blocks(self, found: Hypothesis) -> list[Cause]:
-        """Return the candidates that change a block which the last cause of a hypothesis changes."""
-        cause = found.causes[-1]
+    def _in_blocks_of(self, cause: Cause, there: Sequence[Cause]) -> list[Cause]:
+        """Return the candidates, but what is there, that change a block which a cause changes."""
         blocks = set(self.problem.touched(cause.effect, cause.axis))
-        taken = {one.name for one in found.causes}
+        taken = {one.name for one in there}
         return [
             one
             for one in (*self._candidates, *self.dense)
@@ -329,7 +346,7 @@ class CandidatePool:
             change = self._changes[self._at_first(one)] if one.name == cause.name else None
             if change is not None:
                 own.append(change.signature)
-        rivals = self._in_its_blocks(found)
+        rivals = self._in_blocks_of(cause, found.causes)
         changes = [self._changes[self._at_first(one)] for one in rivals]
         known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
         return similar(base, own, known)
@@ -346,13 +363,13 @@ class CandidatePool:
     def _alike(
         self,
         base: Hypothesis,
-        found: Hypothesis,
+        found: Sequence[Hypothesis],
         of_others: Sequence[Signature],
         rivals: Sequence[Cause],
         changes: Sequence[Change | None],
-    ) -> list[Cause]:
-        """Return which rivals are `screening.alike` to the last cause of `found`, beside `base`."""
-        own = self._change_of_last(base, found)
+    ) -> list[list[Cause]]:
+        """Return which rivals are `screening.alike` to the last cause of each `found`, beside `base`."""
+        own = [self._change_of_last(base, one) for one in found]
         known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
         return alike(base, own, known, signatures_beside(self.problem, base, of_others))
 
@@ -465,6 +482,12 @@ class CandidatePool:
         return {
             block for cause in others for block in self.problem.touched(cause.effect, cause.axis)
         }
+
+
+def signatures_by_name(pool: CandidatePool | Judged, found: Hypothesis) -> dict[str, Signature]:
+    """Return what the causes of a hypothesis themselves change, by their names."""
+    names = [cause.name for cause in found.causes]
+    return dict(zip(names, pool.signatures_of(found), strict=True))
 
 
 def _best_first(items: Iterable[Screened]) -> list[Screened]:

@@ -15,9 +15,14 @@ import numpy as np
 from scipy.special import logit
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
+from waferbot_twin.diagnosis.inference.candidate_pool import (
+    CandidatePool,
+    Judged,
+    signatures_by_name,
+)
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import (
+    ROUGHLY,
     fitted,
     to_the_end,
     with_last,
@@ -35,7 +40,6 @@ from waferbot_twin.estimation.size_prior import (
     precision,
     scales_of,
 )
-from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import Cause, Problem
 
 
@@ -148,10 +152,10 @@ def odds_beside(
     Return ln of the odds of a cause of `found` beside the others, and these fitted without it.
 
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
-    simulations. Another one goes on from there with its own, so that what it ends with is no less
-    likely. It is not made where the odds are too low for the model already, nor where as much again as
-    the first one gained would not make them too low for a name. With `parts` by what parts of the logs
-    agree on (`estimation.evidence.gain`).
+    simulations. Another one goes on from there and ends with its own, first roughly, so that what it
+    ends with is no less likely. It is not made where the odds are too low for the model already, nor
+    where as much again as the last one gained would not make them too low for a name. With `parts` by
+    what parts of the logs agree on (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
@@ -161,27 +165,31 @@ def odds_beside(
         gained = gain(more, base, parts=True) if parts else None
         return log_evidence(problem, more, base, scales, gained) + prior
 
-    signatures = _signatures_by_name(pool, found)
-    first: tuple[Cause, ...] = ()
+    def is_plain(odds: float, base: Hypothesis, before: Hypothesis) -> bool:
+        again = max(gain(base, before), 0.0)
+        too_low = odds <= log_odds_at(pool.settings.included_from)
+        return too_low or odds - again > log_odds_at(pool.settings.named_from)
+
+    signatures = signatures_by_name(pool, found)
+    begun: Hypothesis | None = None
     try:
-        begun = without_by_linear(problem, found, name)
-        base = without(problem, found, [name], pool.workers, signatures)
-        odds = odds_against(base)
-        again = max(gain(base, begun), 0.0)
-        if odds <= log_odds_at(pool.settings.included_from):
-            return odds, base
-        if odds - again > log_odds_at(pool.settings.named_from):
-            return odds, base
-        first = base.causes
+        start = without_by_linear(problem, found, name)
+        begun = without(problem, found, [name], pool.workers, signatures)
+        odds = odds_against(begun)
+        if is_plain(odds, begun, start):
+            return odds, begun
     except UserError:  # the machine does not stand where that begins
         pass
-    base = without(problem, found, [name], pool.workers, begun=first)
-    return odds_against(base), base
-
-
-def _signatures_by_name(pool: CandidatePool | Judged, found: Hypothesis) -> dict[str, Signature]:
-    names = [cause.name for cause in found.causes]
-    return dict(zip(names, pool.signatures_of(found), strict=True))
+    for roughly in (ROUGHLY, 0.0):
+        first = () if begun is None else begun.causes
+        base = without(
+            problem, found, [name], pool.workers, None, first, begun=signatures, roughly=roughly
+        )
+        odds = odds_against(base)
+        if begun is not None and is_plain(odds, base, begun):
+            break
+        begun = base
+    return odds, base
 
 
 def _without_some(
@@ -194,7 +202,7 @@ def _without_some(
     signatures of `found`: what that leaves over is no less than what the best fit does.
     """
     out = _eliminated(pool, found, names)
-    known = _signatures_by_name(pool, found) if len(out) > 1 else {}
+    known = signatures_by_name(pool, found) if len(out) > 1 else {}
     while len(out) > 1:
         again = without(pool.problem, found, out, pool.workers, known)
         if _most_odds_of_one(pool, found, again, out) <= 0.0:

@@ -107,23 +107,33 @@ def fitted(
     workers: int = 1,
     enough: float = ENOUGH,
     near: Hypothesis | None = None,
+    begun: Mapping[str, Signature] | None = None,
+    roughly: float = 0.0,
 ) -> Hypothesis | None:
     """
     Return causes fitted; None if the machine does not stand with them alone.
 
-    `near` is a fit with some or all of them, if there was one.
+    `near` is a fit with some or all of them, if there was one, and `begun` are signatures from near
+    here. `roughly` as in `gauss_newton.fit_causes`.
     """
     shown = None if near is None else shown_by(problem, near)
     try:
-        return fitted_apart(problem, causes, workers, enough, shown=shown)
+        return fitted_apart(
+            problem, causes, workers, enough, None, TO_CONVERGENCE, roughly, shown, begun
+        )
     except UserError:
         return None
 
 
-def fitted_on(problem: Problem, found: Hypothesis, workers: int = 1) -> Hypothesis:
-    """Return a hypothesis with its last cause fitted on; as it is if that blows up."""
+def fitted_on(
+    problem: Problem,
+    found: Hypothesis,
+    workers: int = 1,
+    begun: Mapping[str, Signature] | None = None,
+) -> Hypothesis:
+    """Return a hypothesis with its last cause roughly fitted on; as it is if that blows up."""
     try:
-        return refined(problem, found, workers, ENOUGH)
+        return refined(problem, found, workers, ENOUGH, ROUGHLY, begun)
     except UserError:
         return found
 
@@ -145,7 +155,7 @@ def begun_elsewhere(
 
     What a cause changes in a ring is its phase, so the likelihood over its size has many maxima; which
     of them is the highest depends on what else is known by then. The likeliest of the trials is fitted,
-    first with the signatures of `found` by name (`known`), which costs few simulations.
+    first with the signatures of `found` by name (`known`), which costs few simulations, and roughly.
     """
     pool = Parallel(n_jobs=workers if len(trials) > 1 else 1)
     ratios = pool(delayed(_tried)(problem, found, trial) for trial in trials)
@@ -155,7 +165,7 @@ def begun_elsewhere(
     begun = _begun_at(problem, found.causes, likeliest, known, workers)
     if begun is None or log_posterior_ratio(problem, begun, found) <= ENOUGH:
         return found
-    return to_the_end(problem, begun, workers)
+    return fitted(problem, begun.causes, workers, ENOUGH, begun, known, ROUGHLY) or begun
 
 
 def _tried(problem: Problem, found: Hypothesis, trial: Cause) -> float:
@@ -190,20 +200,23 @@ def without(
     names: Collection[str],
     workers: int = 1,
     known: Mapping[str, Signature] | None = None,
-    begun: Sequence[Cause] = (),
+    start: Sequence[Cause] = (),
+    begun: Mapping[str, Signature] | None = None,
+    roughly: float = 0.0,
 ) -> Hypothesis:
     """
     Return a hypothesis without some causes, the others fitted anew.
 
-    From where they have `begun`, if anywhere, else from where the linear problem has them
+    From where they `start`, if anywhere, else from where the linear problem has them
     (`estimation.conditional`), or from where they are if that is more probable. Not fitted where the
-    machine stands with neither. With the signatures of `found` by name (`known`) that costs few
-    simulations.
+    machine stands with neither. With the signatures of `found` by name alone (`known`) that costs few
+    simulations; those it has `begun` with are found anew in the end. `roughly` as in
+    `gauss_newton.fit_causes`.
     """
     places = [place for place, cause in enumerate(found.causes) if cause.name in names]
     kept = [place for place in range(len(found.causes)) if place not in places]
     as_they_are = tuple(found.causes[place] for place in kept)
-    start = tuple(begun) or _more_probable(
+    start = tuple(start) or _more_probable(
         problem, others_without(problem, found, names), as_they_are
     )
     once = each_once(problem, start)
@@ -213,12 +226,16 @@ def without(
     try:
         if once != start or len(places) > 1:
             shown = shown_by(problem, found)
-            return fitted_apart(problem, once, workers, ENOUGH, known, rounds, shown=shown)
+            return fitted_apart(
+                problem, once, workers, ENOUGH, known, rounds, roughly, shown, begun
+            )
         causes = list(found.causes)
         for place, cause in zip(kept, start, strict=True):
             causes[place] = cause
         moved_on = replace(found, causes=tuple(causes))
-        return fitted_without(problem, moved_on, places[0], workers, ENOUGH, known, rounds)
+        return fitted_without(
+            problem, moved_on, places[0], workers, ENOUGH, known, rounds, roughly, begun
+        )
     except UserError:
         return evaluate(problem, as_they_are)
 

@@ -58,7 +58,7 @@ def ask_again(
                 pool.revised.add((again.best.cause.name, others))
             if again.best.found is not present:
                 moved = True
-                found = fitted_together(pool, again.best.found, again.best.found.causes)
+                found = fitted_together(pool, again.best.found, again.best.found.causes, present)
             effects = [*rest[:place], again, *rest[place:]]
         if not changed:
             break

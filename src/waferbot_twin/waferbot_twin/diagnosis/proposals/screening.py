@@ -374,12 +374,12 @@ ALIKE = 0.5
 
 def alike(
     base: Hypothesis,
-    own: Signature,
+    own: Sequence[Signature],
     rivals: Sequence[tuple[Cause, Change]],
     beside: Signature,
-) -> list[Cause]:
+) -> list[list[Cause]]:
     """
-    Return which of the rivals can stand for a cause that changes `own`, as a whole.
+    Return which of the rivals can stand for each of some causes that change `own`, as a whole.
 
     With r the white residual without the cause, d what it takes away, and what known causes (`beside`)
     could explain taken out of both: those of whose signature the projection P makes at least a share of
@@ -387,27 +387,29 @@ def alike(
 
         |P r|^2 - |P (r - d)|^2  >=  ALIKE (|r|^2 - |r - d|^2).
 
-    What gains as much beside the cause is another one that lacks, and no rival.
+    What gains as much beside the cause is another one that lacks, and no rival. All causes change the
+    same blocks.
     """
-    blocks = tuple(dict.fromkeys([*own, *(name for name in (PRIOR,) if name in beside)]))
+    blocks = tuple(dict.fromkeys([*own[0], *(name for name in (PRIOR,) if name in beside)]))
     known = _Known.of(base, beside, blocks)
-    taken = np.vstack(_in_places(known.places, known.before, _white(base, own)))
+    taken = [np.vstack(_in_places(known.places, known.before, _white(base, one))) for one in own]
     left = known.left[:, None]
-    both = np.hstack([left, left - _without(taken, known.columns)])
-    without, beside_it = np.sum(both**2, axis=0)
-    found = []
+    each = np.hstack([left, left - _without(np.hstack(taken), known.columns)])
+    squares = np.sum(each**2, axis=0)
+    least = ALIKE * (squares[0] - squares[1:])
+    found: list[list[Cause]] = [[] for _ in own]
     for rival, change in rivals:
-        signature = {block: part for block, part in change.signature.items() if block in own}
+        signature = {block: part for block, part in change.signature.items() if block in own[0]}
         if not any(part.any() for part in signature.values()):
             continue
         rows = np.vstack(_in_places(known.places, known.before, _white(base, signature)))
         alone = _without(rows, known.columns)
         alone /= np.maximum(np.linalg.norm(alone, axis=0), 1e-300)
-        moments = alone.T @ both
+        moments = alone.T @ each
         sizes = np.linalg.lstsq(alone.T @ alone, moments, rcond=1e-10)[0]
         gained = np.sum(moments * sizes, axis=0)
-        if 0.0 < ALIKE * (without - beside_it) <= gained[0] - gained[1]:
-            found.append(rival)
+        for place in np.flatnonzero((least > 0.0) & (gained[0] - gained[1:] >= least)):
+            found[place].append(rival)
     return found
 
 
