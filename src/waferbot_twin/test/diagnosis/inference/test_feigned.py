@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from waferbot_twin.diagnosis.inference import feigned
+from waferbot_twin.diagnosis.inference.instrument import NoiseFree
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
 
@@ -83,6 +84,7 @@ def test_noise_feigns_what_both_models_without_a_cause_say(
 
     def instrumented_gain(problem, more, others, noise_free, giving_way):
         told.append('linear' if giving_way else 'there')
+        assert noise_free == ['logs']
         if giving_way:
             assert others == ordered.causes[:1]
             assert giving_way == (ordered.causes[:1], ['of friction'], [['of friction there']])
@@ -102,6 +104,6 @@ def test_noise_feigns_what_both_models_without_a_cause_say(
         log_prior=lambda cause: -4.0,
         signatures_of=lambda found: ['of play', 'of friction'],
     )
-    in_noise_free = [['of play there', 'of friction there']]
-    assert feigned._log_odds(known, found, 'play', 6.0, None, in_noise_free) == odds
+    noise_free = NoiseFree('logs', {'play': 'of play there', 'friction': 'of friction there'})
+    assert feigned._log_odds(known, found, 'play', 6.0, [noise_free]) == odds
     assert told == asked

@@ -15,11 +15,11 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.diagnosis.inference.instrument import (
     GivingWay,
+    NoiseFree,
     explained,
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
-    signatures_in,
 )
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -55,7 +55,10 @@ def gained(mismatch):
     more = fit_causes(problem, (known, begun))
     noise_free = noise_free_logs(problem, more)
     others = more.causes[:1]
-    there = [signatures_in(logs, more)[:1] for logs in noise_free]
+    there = [
+        [NoiseFree.of(logs, more).signatures[cause.name] for cause in others]
+        for logs in noise_free
+    ]
     giving_way = GivingWay.of(problem, others, all_signatures(problem, more)[:1], there)
     return gain(more, base), instrumented_gain(problem, more, others, noise_free, giving_way)
 

@@ -15,22 +15,25 @@ from dataclasses import replace
 from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
+from waferbot_twin.diagnosis.inference.candidate_pool import (
+    CandidatePool,
+    Judged,
+    signatures_by_name,
+)
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import (
     GivingWay,
+    NoiseFree,
     instrumented_gain,
     log_odds_beside_noise,
     noise_free_logs,
-    signatures_in,
 )
 from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import others_without
 from waferbot_twin.estimation.evidence import log_evidence
 from waferbot_twin.estimation.hypothesis import Hypothesis
-from waferbot_twin.estimation.stacked_least_squares import Signature
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Cause
 
 
 def without_feigned(
@@ -52,8 +55,7 @@ def without_feigned(
         name = least.best.cause.name
         gone.append(name)
         left = [effect for effect in left if effect.best.cause.name != name]
-        names = [cause.name for cause in found.causes]
-        known = dict(zip(names, pool.signatures_of(found), strict=True))
+        known = signatures_by_name(pool, found)
         found = without(pool.problem, found, [name], pool.workers, known)
 
 
@@ -61,14 +63,12 @@ def _judged(
     pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
 ) -> list[SingleEffect]:
     """Return effects with their odds beside what noise may feign; as they are where none is known."""
-    noise_free: list[Problem] = []
-    in_noise_free: list[Sequence[Signature]] = []
+    noise_free: list[NoiseFree] = []
     for logs in noise_free_logs(pool.problem, found) if effects else ():
         try:
-            in_noise_free.append(signatures_in(logs, found, pool.workers))
+            noise_free.append(NoiseFree.of(logs, found, pool.workers))
         except UserError:  # the model does not stand in these motions
             continue
-        noise_free.append(logs)
     if not noise_free:
         return list(effects)
     known = pool.judged(found)
@@ -80,7 +80,6 @@ def _judged(
             found,
             [(one.best.cause.name, one.log_odds) for one in part],
             noise_free,
-            in_noise_free,
         )
         for part in parts
     )
@@ -94,14 +93,10 @@ def _log_odds_of(
     known: Judged,
     found: Hypothesis,
     asked: Sequence[tuple[str, float]],
-    noise_free: Sequence[Problem],
-    in_noise_free: Sequence[Sequence[Signature]],
+    noise_free: Sequence[NoiseFree],
 ) -> list[tuple[str, float]]:
     """Return names of some causes with `_log_odds` of each, asked with those by the logs."""
-    return [
-        (name, _log_odds(known, found, name, by_logs, noise_free, in_noise_free))
-        for name, by_logs in asked
-    ]
+    return [(name, _log_odds(known, found, name, by_logs, noise_free)) for name, by_logs in asked]
 
 
 def _log_odds(
@@ -109,13 +104,12 @@ def _log_odds(
     found: Hypothesis,
     name: str,
     by_logs: float,
-    noise_free: Sequence[Problem],
-    in_noise_free: Sequence[Sequence[Signature]],
+    noise_free: Sequence[NoiseFree],
 ) -> float:
     """
     Return ln of the odds of a cause beside what noise may feign, those by the logs if none are known.
 
-    `in_noise_free` is what the causes of `found` change in the noise-free logs. Of the model without the
+    Of the model without the
     cause as it comes where the linear problem says; where that would take the name away, as the linear
     problem has it: far away a machine does other things. Noise feigns what both say.
     """
@@ -125,7 +119,8 @@ def _log_odds(
     prior = known.log_prior(more.causes[-1])
 
     def beside(there: tuple[Cause, ...], giving_way: GivingWay | None = None) -> float | None:
-        gained = instrumented_gain(problem, more, there, noise_free, giving_way)
+        problems = [logs.problem for logs in noise_free]
+        gained = instrumented_gain(problem, more, there, problems, giving_way)
         if gained is None:
             return None
         base = replace(more, causes=there)
@@ -135,10 +130,9 @@ def _log_odds(
     odds = beside(others_without(problem, more, {name}))
     if odds is not None and odds > log_odds_at(known.settings.named_from):
         return odds
-    of_others, *of_others_there = (
-        [one for one, cause in zip(some, found.causes, strict=True) if cause.name != name]
-        for some in (known.signatures_of(found), *in_noise_free)
-    )
-    again = beside(others, GivingWay.of(problem, others, of_others, of_others_there))
+    of_all = signatures_by_name(known, found)
+    of_others = [of_all[cause.name] for cause in others]
+    there = [[logs.signatures[cause.name] for cause in others] for logs in noise_free]
+    again = beside(others, GivingWay.of(problem, others, of_others, there))
     told = [one for one in (odds, again) if one is not None]
     return max(told, default=by_logs)

@@ -79,16 +79,26 @@ def log_odds_beside_noise(by_logs: float, by_command: float, log_prior: float) -
     return -float(np.logaddexp(true - by_logs, feigned - by_command))
 
 
-def signatures_in(noise_free: Problem, found: Hypothesis, workers: int = 1) -> Sequence[Signature]:
-    """
-    Return what the causes of a hypothesis change in noise-free logs, in their order.
+@dataclass(frozen=True)
+class NoiseFree:
+    """Logs without noise, and what the causes of a hypothesis change in them, by their names."""
 
-    Over the same ways as in the logs. Raises `UserError` if the model does not stand in these motions.
-    """
-    variant = apply_all(noise_free.nominal, found.causes)
-    left = {block: noise_free.residuals(variant, block) for block in noise_free.blocks}
-    quick, begun = in_quick_steps(noise_free, replace(found, residuals=left))
-    return all_signatures(quick, begun, workers, errors=conditional_errors(found))
+    problem: Problem
+    signatures: Mapping[str, Signature]
+
+    @classmethod
+    def of(cls, problem: Problem, found: Hypothesis, workers: int = 1) -> NoiseFree:
+        """
+        Take noise-free logs and the causes of a hypothesis, over the same ways as in the logs.
+
+        Raises `UserError` if the model does not stand in these motions.
+        """
+        variant = apply_all(problem.nominal, found.causes)
+        left = {block: problem.residuals(variant, block) for block in problem.blocks}
+        quick, begun = in_quick_steps(problem, replace(found, residuals=left))
+        each = all_signatures(quick, begun, workers, errors=conditional_errors(found))
+        names = [cause.name for cause in found.causes]
+        return cls(problem, dict(zip(names, each, strict=True)))
 
 
 def instrumented_gain(
@@ -110,8 +120,8 @@ def instrumented_gain(
     rounding is in both. That is the likelihood ratio of (z' b)^2 / z' z, nothing if z' b is negative,
     and what exact blocks gain. None if the model does not stand in these motions.
     """
-    with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
     blocks = [block for block in noise_free[0].blocks if block in more.fits]
+    with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
     try:
         own = problem.ideal(others)
         fewer = {block: problem.residuals(without, block) for block in more.fits}
@@ -133,6 +143,21 @@ def instrumented_gain(
             _moved(one, signature, amount)
             for one, signature in zip(free, giving_way.in_noise_free, strict=True)
         ]
+    return _gain_along(more, change, free, feigned)
+
+
+def _gain_along(
+    more: Hypothesis,
+    change: Mapping[str, Array],
+    free: Sequence[Mapping[str, Array]],
+    feigned: Mapping[str, Sequence[Array]],
+) -> float:
+    """
+    Return the gain of a change of what `more` leaves over, along what instruments explain of it.
+
+    `change`, `free` (in each of the noise-free logs) and what is `feigned` there are by block; a block
+    that is not `free`, or is exact, gains what it does. `instrumented_gain` has the formula.
+    """
     exact = 0.0
     changed: list[Array] = []
     present: list[Array] = []
@@ -144,7 +169,7 @@ def instrumented_gain(
         done = in_deviations(fit.colours, by_channel(change[block], channels))
         before = [one + two for one, two in zip(fit.whitened, done, strict=True)]
         after = list(fit.whitened)
-        if block not in blocks or not any(colour.error.order for colour in fit.colours):
+        if block not in free[0] or not any(colour.error.order for colour in fit.colours):
             exact += sum(0.5 * float(one @ one) for one in before)
             exact -= sum(0.5 * float(one @ one) for one in after)
             continue
@@ -154,8 +179,8 @@ def instrumented_gain(
                 [one - two for one, two in zip(some, rounding, strict=True)]
                 for some in (before, after)
             )
-        for own_caused, one in zip(caused, free, strict=True):
-            own_caused += in_deviations(fit.colours, by_channel(one[block], channels))
+        for own, one in zip(caused, free, strict=True):
+            own += in_deviations(fit.colours, by_channel(one[block], channels))
         changed += done
         present += before
         left += after
