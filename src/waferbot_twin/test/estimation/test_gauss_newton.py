@@ -377,3 +377,20 @@ def test_a_fit_of_a_search_begins_with_what_is_near_or_in_longer_steps(monkeypat
     far = 0.5 if roughly else 0.1
     for one, other, deviation in zip(again.causes, before.causes, error, strict=True):
         assert one.values['value'] == pytest.approx(other.values['value'], abs=far * deviation)
+
+
+@pytest.mark.parametrize('roughly', [0.0, 1e-2])
+def test_a_fit_that_begins_with_signatures_that_lead_nowhere_finds_its_own(roughly):
+    """Those from near here may be of another machine: against the slopes no step is a better one."""
+    rng = np.random.default_rng(SEED)
+    print(f'seed {SEED}')
+    problem = InSteps(model(3.0, 4.0, 0.5) + 0.01 * rng.standard_normal(len(TIME_S)))
+    causes = decay_causes(-10.0)
+    before = fit_causes(problem, causes)
+    each = gauss_newton.all_signatures(problem, before)
+    wrong = {
+        cause.name: {block: -rows for block, rows in one.items()}
+        for cause, one in zip(causes, each, strict=True)
+    }
+    again = fit_causes(problem, causes, enough=0.3, roughly=roughly, begun=wrong)
+    assert again.log_likelihood > before.log_likelihood - 1.0

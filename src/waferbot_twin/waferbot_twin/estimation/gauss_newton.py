@@ -140,7 +140,8 @@ def fit_causes(
     The fit ends when a round gains less than `enough` in ln L, or than the share `roughly` of all that
     was gained. Signatures are found once, and then corrected by what each step has changed (equation
     (1)); where a step gains too little they are found anew, those that are `known` excepted, before the
-    fit ends. Raises `UserError` if the simulation blows up where the fit begins.
+    fit ends. Where `enough` is more than `ENOUGH`, those before are of longer steps of the plant.
+    Raises `UserError` if the simulation blows up where the fit begins.
     """
     now, gained = evaluate(problem, causes, workers), 0.0
     names = names_of(problem, causes)
@@ -150,10 +151,10 @@ def fit_causes(
     rest = range(len(known), len(causes))
     anew: Sequence[Signature | None] = [*known, *(None for _ in rest)]
     quick = enough > ENOUGH and bool(rest)
-    reach, fresh = first, not quick or bool(roughly)
+    near = [_near(problem, cause, begun) for cause in causes[len(known) :]]
+    signatures: Sequence[Signature | None] = [*known, *near]
+    reach, fresh = first, near.count(None) == len(near) and (not quick or bool(roughly))
     seen = list[Signature]()
-    signatures: Sequence[Signature | None]
-    signatures = [*known, *(_near(problem, cause, begun) for cause in causes[len(known) :])]
     keys = [(causes[place].name, item.name) for place, item in names]
     errors = np.array([math.inf if shown is None else shown.get(key, math.inf) for key in keys])
     vague = {place for (place, _), error in zip(names, errors, strict=True) if error == math.inf}

@@ -303,8 +303,9 @@ class CandidatePool:
         """
         Return which candidates may stand for the last cause of each of some hypotheses.
 
-        Each is `base` with one more cause. As `in_place_of`, but by what they change in the nominal
-        model, without a simulation.
+        Each is `base` with one more cause, fitted; how far the others moved is taken out with what they
+        could explain. As `in_place_of`, but by what they change in the nominal model, without a
+        simulation.
         """
         of_others = self.signatures_of(base)
         near: list[list[Cause]] = [[] for _ in found]

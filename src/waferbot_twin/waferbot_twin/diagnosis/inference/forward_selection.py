@@ -156,6 +156,8 @@ def all_that_gives(
     any was fitted.
     """
     parts = pool.parts_that_may_give()
+    if not parts:
+        return nothing, []
     try:
         soft = evaluate(pool.problem, parts, pool.workers)
     except UserError:
