@@ -11,7 +11,6 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.forward_selection import all_that_gives
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -113,39 +112,3 @@ def test_progress_says_beside_how_many_causes():
     stages = [stage for stage, _, _ in told]
     assert list(dict.fromkeys(stages)) == ['screening', 'screening beside 1 cause']
     assert told[-1][1] == told[-1][2]
-
-
-GIVE = ('cable_compliance', 'bearing_moment_compliance', 'payload_bearing_compliance')
-AXES_OF = dict(zip(GIVE, ('y_linear', 'x_rotate', 'y_linear'), strict=True))
-
-
-@pytest.mark.parametrize(('softer', 'come'), [(1.0, True), (1.3, True), (0.0, False)])
-def test_all_that_gives_comes_along_as_described_where_the_logs_are_likelier_so(softer, come):
-    """Also where they are 30 % softer than that; and nothing where nothing gives."""
-    nominal = Variant.of(load_model('rigid'))
-    hidden = [
-        Cause(
-            find(name),
-            axis,
-            {'compliance': softer * find(name).typical(nominal, axis)['compliance']},
-        )
-        for name, axis in AXES_OF.items()
-    ]
-    pool = pool_of('full_stroke_y_linear', (*GIVE, 'coulomb_friction'), hidden=hidden)
-    found, tentative = all_that_gives(pool, evaluate(pool.problem))
-    expected = {f'{name}:{axis}' for name, axis in AXES_OF.items()} if come else set()
-    assert {cause.name for cause in found.causes} >= expected
-    assert bool(found.causes) == come
-    assert [one.best.cause for one in tentative] == list(found.causes)
-    for cause in hidden if come else ():
-        (own,) = (one for one in found.causes if one.name == cause.name)
-        assert own.values['compliance'] == pytest.approx(cause.values['compliance'], rel=0.1)
-
-
-def test_what_gives_as_described_has_its_stiffness():
-    nominal = Variant.of(load_model('rigid'))
-    pool = pool_of('full_stroke_y_linear', (*GIVE, 'coulomb_friction'))
-    parts = pool.parts_that_may_give()
-    assert {f'{name}:{axis}' for name, axis in AXES_OF.items()} <= {one.name for one in parts}
-    stiffness = [one.stiffness for one in nominal.description.connections.values()]
-    assert all(1.0 / one.values['compliance'] in stiffness for one in parts)

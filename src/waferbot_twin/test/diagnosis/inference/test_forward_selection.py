@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -145,43 +144,3 @@ def test_with_the_most_probable_come_those_that_are_plain_beside_it(
     chosen = forward_selection._apart(pool, SimpleNamespace(causes=()), members)
     assert [one.best.cause.name for one in chosen] == taken
     assert asked == ([['a:y', 'd:y']] if rivals.get('a:y') == ['d:y'] else [])
-
-
-def test_where_the_model_is_full_what_is_not_evident_makes_room(monkeypatch):
-    """Two came along, three may be there: of these one is evident, so another one is asked for."""
-    names, judged = ['a', 'b', 'c', 'd'], []
-
-    def effect(name, *others):
-        return SingleEffect((Member(hypothesis(*others, name), 9.0, -3.0, 0.99),), 0.01)
-
-    def ask(pool, base):
-        there = [cause.name for cause in base.causes]
-        return effect(next(name for name in names if name not in there), *there)
-
-    def evident(pool, found, effects, tentative=()):
-        judged.append([one.best.cause.name for one in (*effects, *tentative)])
-        left = [one for one in (*effects, *tentative) if one.best.cause.name != 'along']
-        return hypothesis(*(one.best.cause.name for one in left)), left
-
-    for name, value in {
-        'ask': ask,
-        'evident': evident,
-        'is_discrepancy': lambda cause: False,
-        '_apart': lambda pool, base, members: [],
-        'fitted_together': lambda pool, found, *_: found,
-        '_with_their_orders': lambda pool, found: found,
-        '_some_of_each': lambda problem, *three: three,
-        '_begun_elsewhere': lambda pool, found: found,
-    }.items():
-        monkeypatch.setattr(forward_selection, name, value)
-    pool = SimpleNamespace(
-        problem=None, settings=replace(Settings(), most_causes=3), note_noise_of=lambda found: None
-    )
-    came = [effect('along'), effect('too')]
-    _, effects, wanted, asked = forward_selection.ask_on(
-        pool, hypothesis('along', 'too'), [], 9, True, came
-    )
-    assert judged == [['a', 'along', 'too'], ['a', 'too', 'b']]
-    assert [one.best.cause.name for one in effects] == ['a', 'too', 'b']
-    assert wanted == {'a', 'b'}
-    assert asked == 2

@@ -43,7 +43,6 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     is_nothing,
     lets_go,
-    log_likelihood_ratio,
     on_a_bound,
     parameters_of,
 )
@@ -64,7 +63,6 @@ def ask_on(
     effects: list[SingleEffect],
     most: int,
     usual: bool,
-    tentative: Sequence[SingleEffect] = (),
 ) -> tuple[Hypothesis, list[SingleEffect], set[str], int]:
     """
     Add effects as long as one is included; return whatever was asked for, and how often, too.
@@ -79,20 +77,12 @@ def ask_on(
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
     (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
     found by then. A force without a name is asked for again beside them, and not there before: it would
-    do what several of them do together. `usual` says that they have been there; `tentative` is what has
-    come along before. Where it is ahead again, other causes may still do together what it does
-    (`_by_names`). Where there are as many as the settings allow, what is not evident by then makes room.
+    do what several of them do together. `usual` says that they have been there. Where it is ahead
+    again, other causes may still do together what it does (`_by_names`).
     """
-    asked, along, wanted = 0, {one.best.cause.name for one in tentative}, set[str]()
-    effects, tentative = list(effects), list(tentative)
-    while asked < most:
-        if len(effects) + len(tentative) >= pool.settings.most_causes:
-            if not tentative:
-                break
-            wanted |= {one.best.cause.name for one in (*effects, *tentative)}
-            found, effects = evident(pool, found, effects, tentative)
-            tentative = []
-            continue
+    asked, along = 0, set[str]()
+    effects, tentative = list(effects), list[SingleEffect]()
+    while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = ask(pool, found)
         asked += 1
         if effect is None:
@@ -138,37 +128,8 @@ def ask_on(
         found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
-    wanted |= {one.best.cause.name for one in (*effects, *tentative)}
-    return *evident(pool, found, effects, tentative), wanted - along, asked
-
-
-def all_that_gives(
-    pool: CandidatePool, nothing: Hypothesis
-) -> tuple[Hypothesis, list[SingleEffect]]:
-    """
-    Return the nominal model with all that it holds rigid as soft as described, if that is more probable.
-
-    A machine is soft in many places in series, and its rings are those of all of them together: with
-    any one missing the others ring wrongly and explain nothing of it. And what rings on an axis goes
-    into its frictions and inertias. So all of them come at once, and what everybody fits first along
-    with them (`CandidatePool.usual`): fitted, and tentative. In the demonstration's logs no single
-    compliance but belt and gearbox gained what a name needs; all as described gained 1800 in ln L before
-    any was fitted.
-    """
-    parts = pool.parts_that_may_give()
-    if not parts:
-        return nothing, []
-    try:
-        soft = evaluate(pool.problem, parts, pool.workers)
-    except UserError:
-        return nothing, []
-    if log_likelihood_ratio(soft, nothing) + sum(map(pool.log_prior, parts)) <= 0.0:
-        return nothing, []
-    causes = each_once(pool.problem, (*parts, *pool.usual()))
-    found = fitted(pool.problem, causes, pool.workers)
-    if found is None:
-        return nothing, []
-    return found, [as_fitted(pool, found, cause) for cause in found.causes]
+    wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
+    return *evident(pool, found, effects, tentative), wanted, asked
 
 
 def _with_their_orders(pool: CandidatePool, found: Hypothesis) -> Hypothesis:

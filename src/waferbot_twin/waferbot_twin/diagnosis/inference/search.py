@@ -2,7 +2,6 @@
 """
 The search for effects: one after the other, then all again.
 
-What the model holds rigid is as soft as described from the beginning, if the logs are likelier so.
 Effects are added as long as one is more probable than not (`forward_selection`). Then each is
 asked for anew beside all others, as often as one changes (`revision`). Where one of those that were
 asked for has gone, what it stood for may still lack: more are added, and so on (stepwise selection).
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.feigned import without_feigned
-from waferbot_twin.diagnosis.inference.forward_selection import all_that_gives, as_fitted, ask_on
+from waferbot_twin.diagnosis.inference.forward_selection import as_fitted, ask_on
 from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end
 from waferbot_twin.diagnosis.inference.revision import ask_again
 from waferbot_twin.diagnosis.inference.rival_models import beside_rival_models
@@ -32,10 +31,8 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     nominal model does not run in their motions.
     """
     nothing = evaluate(pool.problem)
-    found, effects, tentative = nothing, list[SingleEffect](), list[SingleEffect]()
-    if begun is None:
-        found, tentative = all_that_gives(pool, nothing)
-    else:
+    found, effects = nothing, list[SingleEffect]()
+    if begun is not None:
         causes = begun.found.causes
         found = fitted(pool.problem, causes, pool.workers, near=begun.found) or nothing
         effects = [
@@ -46,10 +43,9 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     pool.note_noise_of(found)
     most = pool.settings.most_asked
     seen = set[frozenset[str]]()
-    usual = begun is not None or bool(tentative)
+    usual = begun is not None
     while True:
-        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual, tentative)
-        tentative = []
+        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual)
         most -= asked
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
