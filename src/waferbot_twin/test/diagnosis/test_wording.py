@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.corrections import Correction
@@ -18,6 +19,7 @@ from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.problem import Cause
+from waferbot_twin.validation.gain import AxisGain
 
 LEFT_OVER = [
     Unexplained(axis, 'plant', 0.1, 'its speed') for axis in ('y_linear', 'x_rotate', 'y_rotate')
@@ -44,11 +46,16 @@ def found(nominal, cause, probability=0.87, share=0.42, others=()):
     return FoundCause(cause, parameters, {}, 1.0, probability, members, 10.0, share)
 
 
-def diagnosis(nominal, causes, unexplained=(), possible=(), corrections=()):
+def diagnosis(nominal, causes, unexplained=(), possible=(), corrections=(), gains=()):
     return SimpleNamespace(
         nominal=nominal, causes=causes, unexplained=list(unexplained), possible=list(possible),
-        corrections=list(corrections), accelerations=[],
+        corrections=list(corrections), accelerations=[], gains=list(gains),
     )  # fmt: skip
+
+
+def gain(axis, before, after):
+    errors = [np.full(4, error) for error in (before, after)]
+    return AxisGain('log', axis, 'rad', np.arange(4.0), np.zeros(4), *errors, True, 0.0)
 
 
 def friction(value=1.5):
@@ -85,6 +92,28 @@ def test_says_what_where_how_large_and_how_sure(nominal):
         r'there, likely \(probability 0\.87\)\.',
         told,
     )
+
+
+@pytest.mark.parametrize(
+    ('errors', 'said'),
+    [
+        ({'x_rotate': (2.0, 0.5)}, 'in validation data 25 % of the RMS error is left.'),
+        ({'x_rotate': (2.0, 0.5), 'y_linear': (1.0, 0.8)}, '25 to 80 % of the RMS error is left.'),
+        (
+            {'x_rotate': (2.0, 0.5), 'y_rotate': (1.0, 1.5)},
+            '25 to 150 % of the RMS error is left.',
+        ),
+    ],
+)
+def test_says_how_much_of_the_error_is_left(nominal, errors, said):
+    """That of the axis with the most, too: an axis with a large gain hides none with a small one."""
+    gains = [gain(axis, *both) for axis, both in errors.items()]
+    told = sentence(diagnosis(nominal, [found(nominal, friction())], gains=gains))
+    assert told.endswith(said)
+    several = [found(nominal, friction())] * 3
+    told = sentence(diagnosis(nominal, several, LEFT_OVER[:1], gains=gains))
+    assert said[:-1] in told
+    assert told.endswith('unexplained.')
 
 
 def test_a_size_on_its_bound_or_not_told_is_not_said(nominal):

@@ -45,11 +45,10 @@ from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.plain_values import finite, significant, with_prefix
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.titles import with_titles
-from waferbot_twin.validation.gain import AxisGain
+from waferbot_twin.validation.gain import AxisGain, gain_of_axes
 from waferbot_twin.validation.gain_report import (
     HARDLY_PERCENT,
     draw_gains,
-    gain_of_axes,
     gain_table,
 )
 
@@ -311,16 +310,23 @@ def correction_row(item: StatedCorrection, titles: Mapping[str, str]) -> dict[st
 
 
 def _validation_words(diagnosis: Diagnosis) -> str:
-    """Return what the largest gain is, or that there is none."""
-    best = max(diagnosis.gains, key=lambda item: item.improvement_percent, default=None)
-    if best is None:
+    """Return what is gained on each axis over all validation data, the largest gain first."""
+    of_axes = gain_of_axes(diagnosis.gains)
+    if not of_axes:
         return 'The validation data have no axis whose position is known.'
-    how = 'closed loop' if best.closed_loop else 'plant, driven by what the drive gave'
+    how = (
+        'closed loop' if diagnosis.gains[0].closed_loop else 'plant, driven by what the drive gave'
+    )
     said = (
         'For this the causes were fitted to the estimation data alone; their values above are those of '
         f'all logs. Error is simulated less measured position ({how}); '
     )
-    if best.improvement_percent < HARDLY_PERCENT:
+    percent = {axis: item['improvement_percent'] for axis, item in of_axes.items()}
+    if max(percent.values()) < HARDLY_PERCENT:
         return said + 'the extended model is not nearer to them than the nominal one.'
-    axis = diagnosis.nominal.titles[best.axis]
-    return said + f'its RMS falls most on {axis}, by {best.improvement_percent:.0f} %.'
+    titles = diagnosis.nominal.titles
+    of_each = [
+        f'{abs(one):.0f} % {"smaller" if one >= 0.0 else "larger"} on {titles[axis]}'
+        for axis, one in sorted(percent.items(), key=lambda item: -item[1])
+    ]
+    return said + f'the RMS error of the extended model is {", ".join(of_each)}.'

@@ -25,6 +25,7 @@ from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.residuals.problem import Cause
+from waferbot_twin.validation.gain import AxisGain, gain_of_axes
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis, FoundCause
@@ -212,7 +213,8 @@ def sentence(diagnosis: Diagnosis) -> str:
     Return in at most `LONGEST_SENTENCE` words what explains most of the error and how sure that is.
 
     The share of the error explained, the probability and what stays unexplained are always said. What
-    does not fit of the rest (the size, what else it may be, how many other causes) is left to the table.
+    does not fit of the rest (the size, what else it may be, how many other causes, how much of the error
+    is left in validation data) is left to the tables.
     """
     left = _left_over(diagnosis)
     if not diagnosis.causes:
@@ -225,10 +227,13 @@ def sentence(diagnosis: Diagnosis) -> str:
             return f'{model} {none}{may_be}.'
         return f'No known cause explains these logs: {left}{may_be}.'
     first = diagnosis.causes[0]
+    left_there = _left_in_validation(diagnosis.gains)
+    rest = _more(diagnosis) + left_there
     wordings: list[Callable[[], str]] = [
-        lambda: _first(diagnosis, first, True) + _other(diagnosis, first) + _more(diagnosis),
-        lambda: _first(diagnosis, first, True) + _more(diagnosis),
-        lambda: _first(diagnosis, first, False) + _more(diagnosis),
+        lambda: _first(diagnosis, first, True) + _other(diagnosis, first) + rest,
+        lambda: _first(diagnosis, first, True) + rest,
+        lambda: _first(diagnosis, first, False) + rest,
+        lambda: _first(diagnosis, first, False) + left_there,
         lambda: _first(diagnosis, first, False),
     ]
     for wording in wordings:
@@ -272,6 +277,16 @@ def _other(diagnosis: Diagnosis, first: FoundCause) -> str:
 def _more(diagnosis: Diagnosis) -> str:
     more = len(diagnosis.causes) - 1
     return f'; {more} more {"causes" if more > 1 else "cause"} below' if more else ''
+
+
+def _left_in_validation(gains: Sequence[AxisGain]) -> str:
+    """Return how much of the RMS error is left in validation data, on the best and the worst axis."""
+    shares = sorted(100.0 - axis['improvement_percent'] for axis in gain_of_axes(gains).values())
+    if not shares:
+        return ''
+    low, high = f'{shares[0]:.0f}', f'{shares[-1]:.0f}'
+    how_much = low if low == high else f'{low} to {high}'
+    return f'; in validation data {how_much} % of the RMS error is left'
 
 
 def _left_over(diagnosis: Diagnosis) -> str:

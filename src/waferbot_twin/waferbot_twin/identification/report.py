@@ -22,11 +22,11 @@ from waferbot_twin.identification.conditioning import Combination, in_words
 from waferbot_twin.identification.identify import Identification
 from waferbot_twin.plain_values import finite, significant
 from waferbot_twin.recording.writer import as_json
+from waferbot_twin.validation.gain import gain_of_axes
 from waferbot_twin.validation.gain_report import (
     AFTER,
     BEFORE,
     draw_gains,
-    gain_of_axes,
     gain_table,
 )
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -115,6 +116,35 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
             )
         )
     return found
+
+
+def gain_of_axes(gains: Sequence[AxisGain]) -> dict[str, Any]:
+    """Return the gain of every axis over all logs as plain values."""
+    return {
+        axis: _gain([item for item in gains if item.axis == axis])
+        for axis in dict.fromkeys(item.axis for item in gains)
+    }
+
+
+def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
+    """Return the gain of one axis over all validation logs."""
+    before = math.sqrt(float(np.mean([item.rms_before**2 for item in items])))
+    after = math.sqrt(float(np.mean([item.rms_after**2 for item in items])))
+    improvement = 100.0 * (before - after) / before if before > 0.0 else 0.0
+    return {
+        'unit': items[0].unit,
+        'rms_before': before,
+        'rms_after': after,
+        'improvement_percent': improvement,
+        'metrics': {
+            item.log: {
+                'rms_before': item.rms_before,
+                'rms_after': item.rms_after,
+                'improvement_percent': item.improvement_percent,
+            }
+            for item in items
+        },
+    }
 
 
 Errors = dict[int, tuple[Array, Array, Array, Array]]

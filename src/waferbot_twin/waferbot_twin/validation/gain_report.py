@@ -4,16 +4,13 @@
 from __future__ import annotations
 
 import html
-import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import matplotlib
 
 matplotlib.use('Agg')
 
 import matplotlib.pyplot as plt
-import numpy as np
 from matplotlib.figure import Figure
 
 from waferbot_twin.envelope import draw_signal
@@ -25,35 +22,6 @@ HARDLY_PERCENT = 1.0
 """Change of the RMS error below which it is as it was."""
 
 BEFORE, AFTER, MEASURED = '#c46a1b', '#1f5fa8', '#222222'
-
-
-def gain_of_axes(gains: Sequence[AxisGain]) -> dict[str, Any]:
-    """Return the gain of every axis over all logs as plain values."""
-    return {
-        axis: _gain([item for item in gains if item.axis == axis])
-        for axis in dict.fromkeys(item.axis for item in gains)
-    }
-
-
-def _gain(items: Sequence[AxisGain]) -> dict[str, Any]:
-    """Return the gain of one axis over all validation logs."""
-    before = math.sqrt(float(np.mean([item.rms_before**2 for item in items])))
-    after = math.sqrt(float(np.mean([item.rms_after**2 for item in items])))
-    improvement = 100.0 * (before - after) / before if before > 0.0 else 0.0
-    return {
-        'unit': items[0].unit,
-        'rms_before': before,
-        'rms_after': after,
-        'improvement_percent': improvement,
-        'metrics': {
-            item.log: {
-                'rms_before': item.rms_before,
-                'rms_after': item.rms_after,
-                'improvement_percent': item.improvement_percent,
-            }
-            for item in items
-        },
-    }
 
 
 def draw_gains(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> Figure:
