@@ -43,13 +43,16 @@ def searched(monkeypatch):
             name = there.causes[-1].name
             asked_from.append(name)
             names, _ = leads_to[name]
-            return hypothesis(*names), [single((one, 0.999)) for one in names], set(), 1
+            return hypothesis(*names), [single((one, 0.999)) for one in names], [], set(), 1
 
         def log_odds_between(pool, one, other):
             own = {cause.name for cause in one.causes}
             return next((odds for names, odds in leads_to.values() if set(names) == own), -200.0)
 
         monkeypatch.setattr(rival_models, 'ask_on', ask_on)
+        monkeypatch.setattr(
+            rival_models, 'evident', lambda pool, found, effects, tentative: (found, effects)
+        )
         monkeypatch.setattr(rival_models, 'log_odds_between', log_odds_between)
         monkeypatch.setattr(rival_models, 'is_physical', lambda cause: True)
         monkeypatch.setattr(rival_models, 'is_nuisance', lambda cause: False)

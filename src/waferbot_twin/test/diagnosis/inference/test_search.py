@@ -48,10 +48,14 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     def ask_on(pool, found, effects, most, usual):
         usual_were_there.append(usual)
         wanted, times = forward.pop(0)
-        return found, effects, wanted, times
+        return found, effects, [], wanted, times
 
     monkeypatch.setattr(search, 'evaluate', lambda problem: hypothesis())
     monkeypatch.setattr(search, 'ask_on', ask_on)
+    monkeypatch.setattr(search, 'or_flexible', lambda pool, *found: found)
+    monkeypatch.setattr(
+        search, 'evident', lambda pool, found, effects, tentative: (found, effects)
+    )
     monkeypatch.setattr(
         search,
         'ask_again',
@@ -69,6 +73,38 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
     assert not forward
     assert not left
     assert {cause.name for cause in found.causes} >= {'friction'}
+
+
+def test_what_gives_is_judged_with_what_came_along(monkeypatch):
+    """The flexible model takes the place of the one that was asked for; then both have to be evident."""
+    effect, along, soft = (
+        SingleEffect((Member(hypothesis(name), 9.0, -3.0, 0.9),), 0.1)
+        for name in ('friction', 'inertia', 'cable')
+    )
+    flexible, judged = hypothesis('friction', 'inertia', 'cable'), []
+
+    def evident(pool, found, effects, tentative):
+        judged.append((found, effects, tentative))
+        return hypothesis('friction', 'cable'), [effect, soft]
+
+    for name, value in {
+        'evaluate': lambda problem: hypothesis(),
+        'ask_on': lambda pool, found, effects, most, usual: (
+            hypothesis('friction', 'inertia'), [effect], [along], {'friction'}, 2
+        ),
+        'or_flexible': lambda pool, found, effects, tentative: (
+            flexible, effects, [*tentative, soft]
+        ),
+        'evident': evident,
+        'ask_again': lambda pool, found, effects, most: (found, effects, 0),
+        'beside_rival_models': lambda pool, found, effects, most: (found, effects, 0),
+        'without_feigned': lambda pool, found, effects: (found, effects, []),
+        'to_the_end': lambda problem, found, workers: found,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(search, name, value)
+    found = search.infer(POOL)
+    assert judged == [(flexible, [effect], [along, soft])]
+    assert found.effects == (effect, soft)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +125,7 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
 
     def ask_on(pool, found, effects, most, usual):
         told.append((found, effects, usual))
-        return found, effects, set(), 1
+        return found, effects, [], set(), 1
 
     for name, value in {
         'evaluate': lambda problem: hypothesis(),
@@ -98,6 +134,8 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
             (Member(hypothesis(cause.name), 0.0, -3.0, 1.0),), 0.0
         ),
         'ask_on': ask_on,
+        'or_flexible': lambda pool, *found: found,
+        'evident': lambda pool, found, effects, tentative: (found, effects),
         'ask_again': lambda pool, found, effects, most: (found, effects, 0),
         'beside_rival_models': lambda pool, found, effects, most: (found, effects, 0),
         'without_feigned': lambda pool, found, effects: (found, effects, []),

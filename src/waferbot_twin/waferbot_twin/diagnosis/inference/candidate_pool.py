@@ -30,7 +30,7 @@ from waferbot_twin.diagnosis.proposals.cogging_orders import (
     has_orders,
     log_prior_of_orders,
 )
-from waferbot_twin.diagnosis.proposals.compliance_scan import screen_damped
+from waferbot_twin.diagnosis.proposals.compliance_scan import held_rigid, screen_damped
 from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
 from waferbot_twin.diagnosis.proposals.periodogram import at_tones
 from waferbot_twin.diagnosis.proposals.rings import Rings
@@ -57,6 +57,7 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     in_quick_steps,
     lets_go,
+    parameters_of,
 )
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
@@ -203,6 +204,14 @@ class CandidatePool:
             if is_nuisance(cause) or cause.effect.name in LEAST_SQUARES:
                 first.setdefault(cause.name, cause)
         return tuple(first.values())
+
+    def parts_that_may_give(self) -> tuple[Cause, ...]:
+        """Return the compliances of what the model holds rigid, each as its description has it."""
+        found: dict[str, Cause] = {}
+        for cause in held_rigid(self.problem, self._candidates):
+            sizes = {item.name: item.typical for item in parameters_of(self.problem, cause)}
+            found.setdefault(cause.name, cause.with_values(sizes))
+        return tuple(found.values())
 
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""

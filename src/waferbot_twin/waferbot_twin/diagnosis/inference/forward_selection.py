@@ -2,9 +2,9 @@
 """
 Forward selection: effects are added as long as one is more probable than not.
 
-What rings is then begun at other sizes, too; what is not evident beside all that was found goes again
-(`elimination`). What no physical cause explains competes with the others: forces over speed and position
-of an axis without a name (`discrepancy`).
+What rings is then begun at other sizes, too. What is not evident beside all that was found goes again
+later (`elimination`). What no physical cause explains competes with the others: forces over speed and
+position of an axis without a name (`discrepancy`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
-from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
+from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
@@ -63,9 +63,12 @@ def ask_on(
     effects: list[SingleEffect],
     most: int,
     usual: bool,
-) -> tuple[Hypothesis, list[SingleEffect], set[str], int]:
+) -> tuple[Hypothesis, list[SingleEffect], list[SingleEffect], set[str], int]:
     """
-    Add effects as long as one is included; return whatever was asked for, and how often, too.
+    Add effects as long as one is included.
+
+    Return the hypothesis, its effects, those that are tentative, the names of whatever was asked for,
+    and how often was asked.
 
     With the most probable candidate come those that are plain beside it, too (`_apart`): they were asked
     for as well, and would be found in the next rounds.
@@ -93,9 +96,7 @@ def ask_on(
             asked += more
             if named:
                 effects += named
-                found, effects, tentative = _some_of_each(
-                    pool.problem, instead, effects, tentative
-                )
+                found, effects, tentative = some_of_each(pool.problem, instead, effects, tentative)
                 continue
         best = effect.best if included else _ahead(pool.problem, found, effect)
         if best is None:
@@ -125,11 +126,11 @@ def ask_on(
         along |= {one.name for one in first}
         tentative += [as_fitted(pool, found, one) for one in first if one.name in names]
         found = _with_their_orders(pool, found)
-        found, effects, tentative = _some_of_each(pool.problem, found, effects, tentative)
+        found, effects, tentative = some_of_each(pool.problem, found, effects, tentative)
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
-    return *evident(pool, found, effects, tentative), wanted, asked
+    return found, effects, tentative, wanted, asked
 
 
 def _with_their_orders(pool: CandidatePool, found: Hypothesis) -> Hypothesis:
@@ -342,7 +343,7 @@ def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member |
     return best if log_odds(best) > 0.0 else None
 
 
-def _some_of_each(
+def some_of_each(
     problem: Problem,
     found: Hypothesis,
     effects: Sequence[SingleEffect],

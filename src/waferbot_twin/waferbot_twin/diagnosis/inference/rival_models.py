@@ -22,7 +22,7 @@ from dataclasses import replace
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_physical
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
+from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.forward_selection import ask_on, log_odds_between
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.diagnosis.inference.revision import ask_again
@@ -48,9 +48,10 @@ def beside_rival_models(
             seen.add(names)
             others = [effect for effect in effects if effect.best.cause.name != name]
             instead = with_odds(SingleEffect((rival,), 0.0), rival.log_odds)
-            there, its_effects, _, asked = ask_on(
+            there, own, tentative, _, asked = ask_on(
                 pool, rival.found, [*others, instead], left, usual=True
             )
+            there, its_effects = evident(pool, there, own, tentative)
             left -= asked
             log_odds = log_odds_between(pool, there, found)
             if log_odds > 0.0:

@@ -2,8 +2,9 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`forward_selection`). Then each is
-asked for anew beside all others, as often as one changes (`revision`). Where one of those that were
+Effects are added as long as one is more probable than not (`forward_selection`); all that is held
+rigid may give as well (`flexible_model`). What is not evident goes (`elimination`). Then each is asked
+for anew beside all others, as often as one changes (`revision`). Where one of those that were
 asked for has gone, what it stood for may still lack: more are added, and so on (stepwise selection).
 The posterior of each is that of `single_effects`, from fits through the simulation for every candidate
 that the linear problem puts within reach (`refit`). Models that other choices lead to are weighed
@@ -14,7 +15,9 @@ out (`feigned`).
 from __future__ import annotations
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.elimination import evident
 from waferbot_twin.diagnosis.inference.feigned import without_feigned
+from waferbot_twin.diagnosis.inference.flexible_model import or_flexible
 from waferbot_twin.diagnosis.inference.forward_selection import as_fitted, ask_on
 from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end
 from waferbot_twin.diagnosis.inference.revision import ask_again
@@ -45,8 +48,10 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     seen = set[frozenset[str]]()
     usual = begun is not None
     while True:
-        found, effects, wanted, asked = ask_on(pool, found, effects, most, usual)
+        found, effects, tentative, wanted, asked = ask_on(pool, found, effects, most, usual)
         most -= asked
+        found, effects, tentative = or_flexible(pool, found, effects, tentative)
+        found, effects = evident(pool, found, effects, tentative)
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
         names = frozenset(cause.name for cause in found.causes)
