@@ -185,6 +185,9 @@ def test_what_a_gantry_does_is_told_in_metres(commissioned, tmp_path):
     for axis in SLIDES['motion']:
         assert found[axis]['unit'] == 'm'
         assert abs(found[axis]['step'] - 1e-4) < 1e-6
+    for table in (output_of('metrics', run), output_of('compare', run, '--model', model)):
+        assert all(title in table for title in ('Ram', 'Bridge', 'Carriage'))
+        assert not any(axis in table for axis in SLIDES['motion'])
     picture = tmp_path / 'run.svg'
     output_of('plot', run, '--out', picture)
     drawn = picture.read_text()

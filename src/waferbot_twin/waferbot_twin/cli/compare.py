@@ -16,6 +16,7 @@ aligned by the beginning of the commanded motion, for PlotJuggler and Foxglove, 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,10 @@ from waferbot_twin.metrics import (
     percent_difference,
     performance_improvement,
 )
+from waferbot_twin.models import recorded_titles
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import significant
+from waferbot_twin.recording.reader import header_of
 from waferbot_twin.response import AxisResponse, rms_difference
 from waferbot_twin.response_reader import load_responses, log_responses
 
@@ -69,10 +72,11 @@ def execute(options: argparse.Namespace) -> int:
         OutputFolder(options.out, options.force)  # nobody waits for what cannot be written
     logs: tuple[MeasuredLog, MeasuredLog] | None = None
     if options.model is not None:
-        logs = _simulated_and_measured(options.simulated, options.model)
+        logs, titles = _simulated_and_measured(options.simulated, options.model)
         read = [log_responses(log) for log in logs]
     else:
         read = [_responses(path) for path in (options.simulated, options.measured)]
+        titles = recorded_titles(header_of(options.simulated))
         if options.out is not None:
             logs = (load_log(options.simulated), load_log(options.measured))
     read += [_responses(options.before)] if options.before else []
@@ -89,7 +93,7 @@ def execute(options: argparse.Namespace) -> int:
     if options.json:
         print_json(result)
     else:
-        _print(result)
+        _print(result, titles)
     if options.out is not None and logs is not None:
         _write_overlay(*logs, options)
     return 0
@@ -100,14 +104,17 @@ def _responses(path: Path) -> list[AxisResponse]:
         return load_responses(path, progress)
 
 
-def _simulated_and_measured(path: Path, model: str) -> tuple[MeasuredLog, MeasuredLog]:
-    """Return what a model does by the commands of a log, and the log."""
+def _simulated_and_measured(
+    path: Path, model: str
+) -> tuple[tuple[MeasuredLog, MeasuredLog], Mapping[str, str]]:
+    """Return what a model does by the commands of a log, the log, and what the model calls its axes."""
     from waferbot_twin.comparison.pairs import in_closed_loop
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model_or_machine
 
-    log, simulated = in_closed_loop(path, Variant.of(load_model_or_machine(model)), model)
-    return simulated, log
+    variant = Variant.of(load_model_or_machine(model))
+    log, simulated = in_closed_loop(path, variant, model)
+    return (simulated, log), variant.titles
 
 
 def _write_overlay(
@@ -129,9 +136,11 @@ def _write_overlay(
     say(f'overlay: {options.out}' + (f', A moved by {later:+.6g} s' if later else ''))
 
 
-def _print(result: dict[str, dict[str, dict[str, Any]]]) -> None:
+def _print(result: dict[str, dict[str, dict[str, Any]]], titles: Mapping[str, str]) -> None:
     for axis, rows in result.items():
-        table = new_table(axis, *(key.replace('_', '\n') for key in next(iter(rows.values()))))
+        table = new_table(
+            titles[axis], *(key.replace('_', '\n') for key in next(iter(rows.values())))
+        )
         for name, row in rows.items():
             table.add_row(name, *(significant(value) for value in row.values()))
         result_console.print(table, '')

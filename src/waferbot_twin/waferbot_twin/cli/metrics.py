@@ -13,6 +13,7 @@ holds (docs/mechanism.md), and when it first left it.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,12 @@ from rich.table import Table
 
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.metrics import FIGURES, RISE_RULES, rms
+from waferbot_twin.models import recorded_titles
 from waferbot_twin.plain_values import significant
+from waferbot_twin.recording.reader import header_of
 from waferbot_twin.response import AxisResponse
 from waferbot_twin.response_reader import load_responses
+from waferbot_twin.titles import with_titles
 from waferbot_twin.validity import recorded_validity
 
 EXAMPLES = (
@@ -52,7 +56,10 @@ def execute(options: argparse.Namespace) -> int:
     if options.json:
         print_json({**result, 'loads': bearing})
         return 0
-    table = new_table('figure', *(f'{axis} [{row["unit"]}]' for axis, row in result.items()))
+    titles = recorded_titles(header_of(options.recording))
+    table = new_table(
+        'figure', *(f'{titles[axis]} [{row["unit"]}]' for axis, row in result.items())
+    )
     names = {
         'step': 'step',
         **{key: f'{name.lower()}{_unit(key)}' for key, name in FIGURES.items()},
@@ -64,16 +71,16 @@ def execute(options: argparse.Namespace) -> int:
         table.add_row(name, *(significant(row.get(key)) for row in result.values()))
     result_console.print(table)
     if bearing:
-        result_console.print(load_table(bearing))
+        result_console.print(load_table(bearing, titles))
     return 0
 
 
-def load_table(bearing: list[dict[str, Any]]) -> Table:
+def load_table(bearing: list[dict[str, Any]], titles: Mapping[str, str]) -> Table:
     """Return what parts had to bear, nearest to its limit or farthest beyond, as a table."""
     table = new_table('part', 'worst', 'at [s]', 'range', 'left at [s]')
     for row in bearing:
         table.add_row(
-            f'{row["place"]}: {row["what"]}',
+            f'{with_titles(row["place"], titles)}: {row["what"]}',
             f'{significant(row["worst"])} {row["unit"]}',
             f'{row["worst_s"]:.3f}',
             row['limits'],
