@@ -113,6 +113,7 @@ def test_every_import_of_a_test_has_its_key(package):
     assert needed <= declared, needed - declared
 
 
+@pytest.mark.slow
 def test_the_wheel_requires_what_is_imported_and_no_more():
     lines = (ROOT / 'requirements' / 'runtime.txt').read_text('utf-8').splitlines()
     required = {re.split(r'[<>=~]', line)[0].lower() for line in lines if line[:1].isalpha()}

@@ -37,6 +37,7 @@ def test_both_plants_count_the_same_within_a_count() -> None:
         assert one.travel > 100.0 * one.largest
 
 
+@pytest.mark.slow
 def test_run_prints_the_difference(capsys, tmp_path) -> None:
     run = ['run', '--engine', 'inprocess', '--experiment', 'step_y_rotate', '--duration', '0.2']
     assert main([*run, '--model', 'mathematical', '--out', str(tmp_path / 'run')]) == 0

@@ -28,6 +28,7 @@ def recording(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_belt_is_slack_in_a_wafer_exchange_and_every_report_says_so(recording, capsys) -> None:
     told = {(row['place'], row['what']): row for row in recorded_validity(recording)}
     row = told['belt', 'tension of the slack span']
@@ -104,6 +105,7 @@ def test_a_recording_that_tells_nothing_is_no_error(tmp_path) -> None:
     assert recorded_validity(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_warm_windings_and_the_payload_are_recorded_and_drawn(tmp_path) -> None:
     """What the recording tells is what the plant's state has at those ticks."""
     description = plant.config_folder() / 'as_built.yaml'
