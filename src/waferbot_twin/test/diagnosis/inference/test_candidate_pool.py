@@ -7,33 +7,14 @@ import math
 
 import pytest
 
-from waferbot_lockstep.timing import Timing
-from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.models import load_model
-from waferbot_twin.residuals.closed_loop_record import run_commanded
-from waferbot_twin.residuals.from_recording import record_of_signals
-from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.problem import Cause
 
 
-def pool_of(experiment, names, progress=lambda *_: None, hidden=()):
-    """Return a pool of effects for the log of the nominal model, or one more, in an experiment."""
-    nominal, timing = Variant.of(load_model('rigid')), Timing()
-    motion = load_experiment(experiment)
-    parameters = servo_parameters(nominal.pmac, nominal.name)
-    commanded = commanded_positions(motion, parameters, timing.servo_hz)
-    variant = apply_all(nominal, hidden)
-    signals = run_commanded(variant, timing, commanded, timing.ticks(0.3))
-    problem = Problem(nominal, [record_of_signals('log', signals)])
-    return CandidatePool(problem, [find(name) for name in names], Settings(), progress)
-
-
-def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
+def test_prior_odds_are_shared_between_the_orders_of_a_candidate(pool_of):
     """A cause that is tried at three orders, and with the order free, is no likelier for it."""
     pool = pool_of('full_stroke_y_linear', ('coulomb_friction', 'viscous_friction', 'cogging'))
     nominal = pool.problem.nominal
@@ -48,7 +29,7 @@ def test_prior_odds_are_shared_between_the_orders_of_a_candidate():
     assert odds['cogging:y_linear'] == pytest.approx(alone - math.log(trials + 1))
 
 
-def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
+def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives(pool_of):
     """
     Friction and inertia of the motor are those of the axis as long as nothing gives between the two.
 
@@ -77,7 +58,9 @@ def test_what_is_before_a_drive_is_a_candidate_as_soon_as_the_drive_gives():
         assert name not in {item.cause.effect.name for item in pool.in_place_of(alone)}
 
 
-def test_what_could_be_in_place_of_a_cause_is_asked_beside_the_others_not_in_the_nominal_model():
+def test_what_could_be_in_place_of_a_cause_is_asked_beside_the_others_not_in_the_nominal_model(
+    pool_of,
+):
     """There drag may look like Coulomb friction; beside that it does what viscous friction does."""
     nominal = Variant.of(load_model('rigid'))
     frictions = tuple(
@@ -98,7 +81,7 @@ def test_what_could_be_in_place_of_a_cause_is_asked_beside_the_others_not_in_the
     assert 'rolling_drag:x_rotate' in {item.cause.name for item in pool.in_place_of(found)}
 
 
-def test_progress_says_beside_how_many_causes():
+def test_progress_says_beside_how_many_causes(pool_of):
     told = []
     pool = pool_of(
         'full_stroke_y_linear',

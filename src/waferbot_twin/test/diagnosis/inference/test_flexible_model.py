@@ -5,20 +5,13 @@ from __future__ import annotations
 
 import pytest
 
-from waferbot_lockstep.timing import Timing
-from waferbot_pmac.experiments import commanded_positions, load_experiment
-from waferbot_pmac.i_variables import servo_parameters
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.flexible_model import or_flexible
 from waferbot_twin.diagnosis.inference.forward_selection import as_fitted
-from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.models import load_model
-from waferbot_twin.residuals.closed_loop_record import run_commanded
-from waferbot_twin.residuals.from_recording import record_of_signals
-from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.residuals.problem import Cause
 
 SOFT = {
     'cable_compliance': 'y_linear',
@@ -37,22 +30,15 @@ def typical(nominal, name, times=1.0):
     return Cause(find(name), SOFT[name], {key: times * one for key, one in values.items()})
 
 
-def pool_of(nominal, hidden):
-    timing, motion = Timing(), load_experiment('full_stroke_y_linear')
-    parameters = servo_parameters(nominal.pmac, nominal.name)
-    commanded = commanded_positions(motion, parameters, timing.servo_hz)
-    signals = run_commanded(apply_all(nominal, hidden), timing, commanded, timing.ticks(0.3))
-    problem = Problem(nominal, [record_of_signals('log', signals)])
-    effects = [find(name) for name in (*SOFT, 'coulomb_friction')]
-    return CandidatePool(problem, effects, Settings(), lambda *_: None)
+EXPERIMENT, EFFECTS = 'full_stroke_y_linear', (*SOFT, 'coulomb_friction')
 
 
 @pytest.mark.parametrize('times', [1.0, 1.3])
 @pytest.mark.parametrize('known', [(), ('cable_compliance',)])
-def test_all_that_gives_comes_and_is_tentative(nominal, times, known):
+def test_all_that_gives_comes_and_is_tentative(nominal, pool_of, times, known):
     """Of machines as soft as described, or softer; what was found already is not asked twice."""
     hidden = [typical(nominal, name, times) for name in SOFT]
-    pool = pool_of(nominal, hidden)
+    pool = pool_of(EXPERIMENT, EFFECTS, hidden=hidden)
     before = fit_causes(pool.problem, tuple(typical(nominal, name, times) for name in known))
     effects = [as_fitted(pool, before, cause) for cause in before.causes]
     pool.begin(before)
@@ -68,18 +54,18 @@ def test_all_that_gives_comes_and_is_tentative(nominal, times, known):
 
 
 @pytest.mark.parametrize('known', [(), tuple(SOFT)])
-def test_where_nothing_more_gives_all_stays_as_it_is(nominal, known):
+def test_where_nothing_more_gives_all_stays_as_it_is(nominal, pool_of, known):
     """Of a rigid machine, and of one whose compliances are all known."""
     hidden = [typical(nominal, name) for name in known]
-    pool = pool_of(nominal, hidden)
+    pool = pool_of(EXPERIMENT, EFFECTS, hidden=hidden)
     before = fit_causes(pool.problem, tuple(hidden))
     effects = [as_fitted(pool, before, cause) for cause in before.causes]
     pool.begin(before)
     assert or_flexible(pool, before, effects, []) == (before, effects, [])
 
 
-def test_what_may_give_has_the_stiffness_of_its_description(nominal):
-    pool = pool_of(nominal, ())
+def test_what_may_give_has_the_stiffness_of_its_description(nominal, pool_of):
+    pool = pool_of(EXPERIMENT, EFFECTS)
     parts = pool.parts_that_may_give()
     assert {one.name for one in parts} >= {f'{name}:{axis}' for name, axis in SOFT.items()}
     stiffness = [one.stiffness for one in nominal.description.connections.values()]

@@ -5,8 +5,8 @@ The flexible model beside the one that was found: all that is held rigid gives a
 A machine is flexible in many places in series, and its resonances are those of all of them together:
 with any one missing the others ring wrongly and explain little. So forward selection, which adds one
 cause after the other, may never come there, and what rings goes into frictions and inertias. In the
-demonstration's logs no single compliance of Y-Linear gains what a name needs beside 21 causes, which
-leave 77 % of its closed-loop error; seven more as described gain 1660 in ln L at once, and fitted 7200.
+demonstration's logs it ended with 21 causes, 77 % of Y-Linear's closed-loop error left and seven
+compliances of the machine unasked for; as described these gained 1660 in ln L at once, and fitted 7200.
 """
 
 from __future__ import annotations
