@@ -35,11 +35,16 @@ PACKAGES = (
 
 
 def source_digest() -> str:
-    """Return a digest of all sources that compiled code can depend on, and of Numba's version."""
+    """
+    Return a digest of all sources that compiled code can depend on, where they are, and Numba's version.
+
+    Numba keeps compiled code by the path of its source: another clone with the same text has none of it.
+    """
     digest = hashlib.sha256(numba.__version__.encode())
     for package in PACKAGES:
         spec = find_spec(package)
         for folder in spec.submodule_search_locations or [] if spec else []:
+            digest.update(os.path.realpath(folder).encode())
             for path in sorted(Path(folder).rglob('*.py')):
                 text = path.read_bytes()
                 if b'import rclpy' in text or (
