@@ -300,3 +300,31 @@ def test_provenance_is_kept() -> None:
     provenance = load_machine('rigid').description.provenance
     assert provenance['gravity_m_s2'] == 'thesis (2.24)'
     assert 'calibrated' in provenance['parts.cable.cable_length_m']
+
+
+@pytest.mark.parametrize(
+    ('said', 'kind', 'value'),
+    [
+        ({'stiffness_n_m': 4000.0, 'loss_factor': 0.01}, 'loss_factor', 0.01),
+        ({'stiffness_n_m': 4000.0, 'damping_n_s_m': 2.0}, 'damping', 2.0),
+    ],
+)
+def test_a_connection_has_so_many_times_its_damping(said, kind, value) -> None:
+    def damping_of(**more: float) -> float:
+        data = machines.two_slides(
+            transmissions={
+                'rope': {
+                    'driving': 'first',
+                    'driven': 'second',
+                    'stages': [{'kind': 'cable', 'connection': 'rope'}],
+                }
+            },
+            connections={'rope': {'state': 'flexible', **said, **more}},
+        )
+        rope = load_description(machines.write(data)).connections['rope']
+        return float(getattr(rope, kind))
+
+    assert damping_of() == value
+    assert damping_of(damping_factor=5.0) == pytest.approx(5.0 * value)
+    with pytest.raises(UserError, match='damping_factor'):
+        damping_of(damping_factor=0.0)

@@ -386,6 +386,7 @@ class Reader:
         )
         flexible = value['state'] == 'flexible'
         law = imperfections.read_spring_law(self, key, rotary, stage_kind)
+        more_damping = float(value.get('damping_factor', 1.0))
         if 'part' in value:
             stiffness, loss = self.stiffness_of_part(key, value, rotary)
             return Connection(
@@ -394,7 +395,7 @@ class Reader:
                 rotary,
                 stiffness,
                 None,
-                loss,
+                loss * more_damping,
                 free,
                 **law,
                 part=self.part(key, value),
@@ -405,9 +406,9 @@ class Reader:
         if ('loss_factor' in value) == any(damping in value for damping in names):
             raise self.document.error(key, f'give either loss_factor or {names[rotary]}')
         if 'loss_factor' in value:
-            loss = float(value['loss_factor'])
+            loss = float(value['loss_factor']) * more_damping
             return Connection(name, flexible, rotary, stiffness, None, loss, free, **law)
-        damping = float(self.quantity(key, rotary, *names))
+        damping = float(self.quantity(key, rotary, *names)) * more_damping
         return Connection(name, flexible, rotary, stiffness, damping, None, free, **law)
 
     def stiffness_of_part(
