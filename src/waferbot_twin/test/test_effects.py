@@ -32,6 +32,7 @@ from waferbot_pmac.experiments import load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects import effects_page, find, library, places
 from waferbot_twin.effects.effect import Values
+from waferbot_twin.effects.load import load_of
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.models import load_model, load_model_or_machine
@@ -62,6 +63,7 @@ DEPENDENT = (
     {'cable_slack', 'cable_second_mode'},  # both let a rigid cable give, not equally stiff
     {'wafer', 'wrong_inertia'},  # what is scaled includes the wafer, or not
     {'wafer', 'centre_of_gravity'},  # what is shifted includes the wafer, or not
+    {'load', 'wrong_inertia'},  # what is scaled includes the other load, or not
 )
 
 
@@ -361,6 +363,33 @@ def test_wafer_is_two_bodies() -> None:
 def changed_base(variant: Variant) -> Variant:
     """Return a variant as if it were the model."""
     return replace(variant, origin=None)
+
+
+def test_a_load_is_of_a_body_that_can_be() -> None:
+    """Inertia by second moments of mass, J_xx = S_yy + S_zz; what a variant has is read back."""
+    variant = nominal()
+    values = {
+        'mass': 3.0, 'offset_x': 0.01, 'offset_y': -0.02, 'offset_z': 0.03,
+        'moment_x': 0.05, 'moment_y': 0.2, 'moment_z': 0.3,
+    }  # fmt: skip
+    changed = find('load').apply(variant, 'x_rotate', values)
+    name = places.carried_body(variant, 'x_rotate').name
+    before, after = (one.description.bodies[name] for one in (variant, changed))
+    assert after.mass - before.mass == pytest.approx(3.0)
+    assert after.centre_of_gravity - before.centre_of_gravity == pytest.approx([0.01, -0.02, 0.03])
+    assert np.diag(after.inertia - before.inertia) == pytest.approx([0.5, 0.35, 0.25])
+    assert load_of(variant, changed, 'x_rotate') == pytest.approx(values, abs=1e-12)
+    emptied = {item.name: item.low for item in find('load').parameters(variant, 'x_rotate')}
+    least = find('load').apply(variant, 'x_rotate', emptied).description.bodies[name].inertia
+    moments = np.sort(np.linalg.eigvalsh(least))
+    assert 0.0 < moments[2] < moments[0] + moments[1]
+
+
+def test_a_load_is_asked_for_where_another_axis_carries_it() -> None:
+    """On a single axis inertia and centre of gravity say all that is felt of one."""
+    assert find('load').axes(nominal()) == ('x_rotate', 'y_rotate')
+    pendulum = Variant.of(load_model_or_machine('geared_pendulum'))
+    assert find('load').axes(pendulum) == ()
 
 
 def test_centre_of_gravity_turns_the_axis() -> None:

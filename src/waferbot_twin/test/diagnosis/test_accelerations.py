@@ -29,7 +29,7 @@ def nominal():
 
 def of_y_linear(nominal, mass, constant, covariance):
     """Return the rows of Y-Linear with both off by a share, and their covariance (2, 2)."""
-    (effect,), _ = nuisance(nominal, [], Settings())
+    (effect, _), _ = nuisance(nominal, [], Settings())
     (axis,) = effect.axes(nominal)
     values = {item.name: 0.0 for item in effect.parameters(nominal, axis)}
     off = {MASS: mass, CONSTANT: constant}

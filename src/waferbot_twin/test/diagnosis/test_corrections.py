@@ -6,10 +6,11 @@ from __future__ import annotations
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from waferbot_twin.diagnosis.corrections import Correction, stated
-from waferbot_twin.diagnosis.inference.nuisance import nuisance
+from waferbot_twin.diagnosis.inference.nuisance import corrections, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.report import correction_row
 from waferbot_twin.effects.variant import Variant
@@ -29,7 +30,7 @@ def nominal():
 
 def told(nominal, x, error):
     """Return the row of a mass that is off by a share `x` with a standard error, all else as it was."""
-    (effect,), known = nuisance(nominal, [], Settings())
+    (effect, *_), known = nuisance(nominal, [], Settings())
     (axis,) = effect.axes(nominal)
     values = {item.name: 0.0 for item in effect.parameters(nominal, axis)}
     cause = Cause(effect, axis, {**values, PATH: x})
@@ -73,3 +74,27 @@ def test_what_is_known_no_better_than_before_the_logs_is_not_told(nominal, share
 def test_an_axis_is_said_as_it_is_called(nominal):
     _, _, item = told(nominal, 0.01, 0.001)
     assert correction_row(item, nominal.titles)['parameter'] == 'mass of Y-Linear'
+
+
+@pytest.mark.parametrize('x', [0.0, 1.2])
+def test_what_is_known_to_a_factor_has_an_interval_of_factors(nominal, x):
+    """Of the damping of a bearing 20 % either way is told, a factor of e as well known before is not."""
+    path, error = 'connections.x_rotate_bearing_radial.damping_factor', 0.2
+    (_, effect), known = nuisance(nominal, [], Settings())
+    number = next(item for item in known if item.path == path)
+    cause = Cause(
+        effect, 'y_linear', {**dict.fromkeys(effect.typical(nominal, 'y_linear'), 0.0), path: x}
+    )
+    problem = SimpleNamespace(nominal=nominal)
+    errors = [error if item == path else 9.0 for item in cause.values]
+    found = SimpleNamespace(causes=(cause,), covariance=np.diag(np.square(errors)))
+    rows = {row.path: row for row in corrections(problem, found, list(known))}
+    row = rows[path]
+    assert row.found == pytest.approx(number.value * math.exp(x))
+    assert row.high / row.found == pytest.approx(math.exp(NORMAL_95 * error))
+    assert row.found / row.low == pytest.approx(math.exp(NORMAL_95 * error))
+    diagnosis = SimpleNamespace(problem=problem, after=found, corrections=list(rows.values()))
+    told = {item.correction.path: item for item in stated(diagnosis)}
+    assert told[path].told
+    assert not any(item.told for other, item in told.items() if other != path)
+    assert not told[path].on_bound

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.estimation.hypothesis import on_a_bound
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.intervals import on_a_bound
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.problem import Cause
 
@@ -39,4 +41,25 @@ def test_a_size_or_a_shape_on_a_bound_stands_in_for_another_cause(name, changed,
         if item.name in changed:
             values[item.name] = getattr(item, changed[item.name])
     cause = Cause(effect, 'x_rotate', values, held)
-    assert on_a_bound(SimpleNamespace(nominal=nominal), cause) == stands_in
+    found = Hypothesis((cause,), {}, {})
+    assert on_a_bound(SimpleNamespace(nominal=nominal), found, 0) == stands_in
+
+
+@pytest.mark.parametrize(
+    ('share', 'moment_z', 'stands_in'), [(0.4, 0.0, True), (0.6, 0.0, False), (0.4, 0.2, False)]
+)
+def test_a_size_on_a_bound_is_that_of_a_cause_if_the_logs_tell_no_other(
+    share, moment_z, stands_in
+):
+    """Of the many numbers of a load: a standard error of `share` of what is on its bound."""
+    nominal, effect = Variant.of(load_model('rigid')), find('load')
+    parameters = effect.parameters(nominal, 'x_rotate')
+    values = {item.name: item.neutral for item in parameters} | {'moment_z': moment_z}
+    values['moment_x'] = next(item.low for item in parameters if item.name == 'moment_x')
+    friction = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.0})
+    errors = [9.0, *(share * abs(values['moment_x']) for _ in parameters)]
+    covariance = np.diag(np.square(errors))
+    found = Hypothesis((friction, Cause(effect, 'x_rotate', values)), {}, {}, covariance)
+    problem = SimpleNamespace(nominal=nominal)
+    assert on_a_bound(problem, found, -1) == stands_in
+    assert not on_a_bound(problem, found, 0)

@@ -103,8 +103,8 @@ def fitted(machine, seed, duration_s):
     record = record_of_signals('log', twin.advance(timing.ticks(duration_s)))
     record = dataclasses.replace(record, terminals=None)
     settings = Settings()
-    (dense,), numbers = nuisance(rigid, [record], settings)
-    paths = [number.path for number in numbers]
+    (dense, _), numbers = nuisance(rigid, [record], settings)
+    paths = [number.path for number in numbers if not number.is_damping]
     problem = Problem(rigid, [record]).with_prior([paths], settings.prior_scales)
     causes = (
         Cause(friction, 'x_rotate', friction.typical(rigid, 'x_rotate')),

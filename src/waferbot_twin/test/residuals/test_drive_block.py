@@ -305,13 +305,16 @@ def test_effects_touch_the_blocks_that_read_what_they_change(
 def test_variants_differ_in_no_other_block_than_is_said(nominal):
     """Every number of the dense effect alone: only force constants go into the windings."""
     record = log(nominal)
-    (dense,), numbers = nuisance(nominal, [record], Settings())
+    effects, numbers = nuisance(nominal, [record], Settings())
     problem = Problem(nominal, [record]).with_prior(prior_groups(numbers))
     blocks = {PLANT, CONTROLLER, AMPLIFIER, WINDINGS, PRIOR}
-    nothing = {item.path: 0.0 for item in numbers}
-    before = dense.apply(nominal, 'y_linear', nothing)
-    assert problem.between(before, before) == ()
-    for item in numbers:
+    for dense, item in (
+        (dense, item) for dense, group in zip(effects, prior_groups(numbers), strict=True)
+        for item in numbers if item.path in group
+    ):  # fmt: skip
+        nothing = dict.fromkeys(dense.typical(nominal, 'y_linear'), 0.0)
+        before = dense.apply(nominal, 'y_linear', nothing)
+        assert problem.between(before, before) == ()
         after = dense.apply(nominal, 'y_linear', {**nothing, item.path: item.spread})
         said = set(problem.between(before, after))
         assert (WINDINGS in said) == (item.section == 'motors')

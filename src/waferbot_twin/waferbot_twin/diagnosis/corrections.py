@@ -2,10 +2,10 @@
 """
 Parameters that every machine has a little different from its model: corrected, but no cause.
 
-A parameter p = p_0 + c x has the usual spread s of x as its prior, and cannot be further off than that
-of its bounds (`inference.nuisance`, equation (1)). Its interval ends there. The prior of all n together
-is Student's t: what the spreads of this machine are, as a multiple of the usual ones, follows from all
-of them,
+A parameter p = p_0 + c x, or p_0 exp(x), has the usual spread s of x as its prior, and cannot be
+further off than that of its bounds (`inference.nuisance`, equation (1)). Its interval ends there. The
+prior of all n together is Student's t: what the spreads of this machine are, as a multiple of the usual
+ones, follows from all of them,
 
     k^2 = (nu + sum of (x / s)^2) / (nu + n),                                                     (1)
 
@@ -38,7 +38,7 @@ class Correction:
 
     `parameter` says it in words ("mass of carriage"), `path` where it stands in the description
     (`bodies.carriage.mass_kg`); `nominal`, `found` and the ends of the 95 % interval `low`, `high` are
-    in `unit`.
+    in `unit`. One that is known `to_a_factor` is p_0 exp(x).
     """
 
     parameter: str
@@ -48,6 +48,12 @@ class Correction:
     found: float
     low: float
     high: float
+    to_a_factor: bool = False
+
+
+def corrected(nominal: float, x: float, to_a_factor: bool) -> float:
+    """Return the parameter p of an x, as above."""
+    return nominal * math.exp(x) if to_a_factor else nominal + (nominal or 1.0) * x
 
 
 @dataclass(frozen=True)
@@ -89,9 +95,13 @@ def stated_accelerations(diagnosis: Diagnosis) -> list[StatedCorrection]:
 
 def _stated(correction: Correction, item: Parameter, x: float, scale: float) -> StatedCorrection:
     """Return a correction whose x of (1) has a value; `scale` is the k of (1)."""
-    per_x = correction.nominal or 1.0
-    ends = sorted(correction.nominal + per_x * end for end in (item.low, item.high))
-    error = 0.5 * (correction.high - correction.low) / abs(NORMAL_95 * per_x)
+    nominal, to_a_factor = correction.nominal, correction.to_a_factor
+    ends = sorted(corrected(nominal, end, to_a_factor) for end in (item.low, item.high))
+    if to_a_factor:
+        width = math.log(correction.high / correction.low)
+    else:
+        width = (correction.high - correction.low) / (nominal or 1.0)
+    error = 0.5 * width / NORMAL_95
     return StatedCorrection(
         correction,
         min(max(correction.low, ends[0]), correction.found),

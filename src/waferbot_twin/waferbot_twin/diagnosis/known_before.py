@@ -10,6 +10,7 @@ changed since is told and left out.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -100,6 +101,8 @@ def _prior(problem: Problem, cause: Cause) -> list[float]:
 
 def _as_share(known: Known, number: Number) -> Known:
     """Return a known value as that of the dense effect: how far it is from the model's."""
+    if number.is_damping:
+        return Known(math.log(known.value / number.value), known.error / known.value, known.origin)
     return Known(
         (known.value - number.value) / number.per_x, abs(known.error / number.per_x), known.origin
     )

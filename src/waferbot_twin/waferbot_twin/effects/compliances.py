@@ -174,7 +174,8 @@ def with_compliance(
         if kind == 'shaft':
             # No metal has a torsion and a bending stiffness that follow each other at will.
             gone = {key: None for key in ('part', 'direction') if key in present}
-            connections[name] |= {**gone, 'loss_factor': part.loss_factor}
+            own = (part.loss_factor or 0.0) / float(entry.get('damping_factor', 1.0))
+            connections[name] |= {**gone, 'loss_factor': own}
     found: dict[str, Any] = {'connections': connections}
     return {**found, 'parts': changed} if changed else found
 

@@ -187,6 +187,25 @@ def jointed_axes(variant: Variant) -> tuple[str, ...]:
     return tuple(axis for axis in motor_axes(variant) if joint_of(variant, axis) is not None)
 
 
+def carried_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a body that another axis carries: it feels weight and reaction of it."""
+    joints = variant.base.description.joints.values()
+    above = {joint.child: joint for joint in joints}
+    axes = jointed_axes(variant)
+    own = {axis: joint_of(variant, axis) for axis in axes}
+
+    def carried(axis: str) -> bool:
+        others = [id(joint) for name, joint in own.items() if name != axis]
+        joint = own[axis]
+        while joint is not None:
+            joint = above.get(joint.parent)
+            if id(joint) in others:
+                return True
+        return False
+
+    return tuple(axis for axis in axes if carried(axis))
+
+
 def direction_of(variant: Variant, axis: str) -> np.ndarray:
     """Return the unit vector along or about which an axis moves, base frame at home."""
     joint = joint_of(variant, axis)

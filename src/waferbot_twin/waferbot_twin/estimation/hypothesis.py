@@ -196,21 +196,6 @@ def is_nothing(problem: Problem, cause: Cause) -> bool:
     )
 
 
-def on_a_bound(problem: Problem, cause: Cause) -> bool:
-    """
-    Return whether a fit has brought a cause to a bound: then it stands in for another one.
-
-    A size is as large as it can be; or a shape has left its range, and the effect is its limit there:
-    friction that rises with speed, over next to none, is Coulomb friction by another name.
-    """
-    return any(
-        cause.values[item.name] in (item.low, item.high)
-        and cause.values[item.name] != item.neutral
-        for item in parameters_of(problem, cause)
-        if item.spread == 0.0
-    )
-
-
 def signature(
     problem: Problem,
     hypothesis: Hypothesis,

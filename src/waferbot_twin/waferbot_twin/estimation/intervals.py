@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from scipy.stats import chi2, norm
 
 from waferbot_lockstep.errors import UserError
@@ -31,6 +32,7 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     log_likelihood_ratio,
     parameters_of,
+    standard_errors,
 )
 from waferbot_twin.estimation.quantised_fit import same_bits
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -50,6 +52,38 @@ HALVINGS = 6
 
 Intervals = dict[str, tuple[float, float]]
 """By name of a parameter, the ends of its interval."""
+
+
+def on_a_bound(problem: Problem, hypothesis: Hypothesis, place: int) -> bool:
+    """
+    Return whether a fit has brought its cause at a place to a bound: then it stands in for another one.
+
+    It is as large as it can be, in all sizes that the logs tell from none by their 95 % intervals; or a
+    shape has left its range, and the effect is its limit there: friction that rises with speed, over
+    next to none, is Coulomb friction by another name.
+    """
+    place %= len(hypothesis.causes)
+    cause = hypothesis.causes[place]
+    parameters = parameters_of(problem, cause)
+    first = sum(len(parameters_of(problem, one)) for one in hypothesis.causes[:place])
+    errors = standard_errors(hypothesis)[first : first + len(parameters)]
+    if len(errors) != len(parameters):  # it was not fitted
+        errors = np.zeros(len(parameters))
+
+    def bound(item: Parameter) -> bool:
+        value = cause.values[item.name]
+        return value in (item.low, item.high) and value != item.neutral
+
+    own = [
+        (item, error) for item, error in zip(parameters, errors, strict=True) if item.spread == 0.0
+    ]
+    told = [
+        item
+        for item, error in own
+        if not item.shape and abs(cause.values[item.name] - item.neutral) > NORMAL_95 * error
+    ]
+    left = any(item.shape and bound(item) for item, _ in own)
+    return left or (bool(told) and all(bound(item) for item in told))
 
 
 def intervals_95(

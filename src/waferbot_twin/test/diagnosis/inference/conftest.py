@@ -9,6 +9,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.nuisance import nuisance, prior_groups
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -22,15 +23,26 @@ from waferbot_twin.residuals.problem import Problem, apply_all
 def pool_of():
     """Return a function that makes a pool of effects for the log of a machine in an experiment."""
 
-    def pool_of(experiment, names, progress=lambda *_: None, hidden=()):
-        """Return a pool of effects for the log of the nominal model, or one more, in an experiment."""
+    def pool_of(experiment, names, progress=lambda *_: None, hidden=(), with_dense=False):
+        """
+        Return a pool of effects for the log of the nominal model in an experiment.
+
+        Or that of one with something hidden; `with_dense` the dense effects are candidates as well.
+        """
         nominal, timing = Variant.of(load_model('rigid')), Timing()
         motion = load_experiment(experiment)
         parameters = servo_parameters(nominal.pmac, nominal.name)
         commanded = commanded_positions(motion, parameters, timing.servo_hz)
         variant = apply_all(nominal, hidden)
         signals = run_commanded(variant, timing, commanded, timing.ticks(0.3))
-        problem = Problem(nominal, [record_of_signals('log', signals)])
-        return CandidatePool(problem, [find(name) for name in names], Settings(), progress)
+        records, settings = [record_of_signals('log', signals)], Settings()
+        problem, effects = Problem(nominal, records), [find(name) for name in names]
+        if with_dense:
+            dense, numbers = nuisance(nominal, records, settings)
+            problem = problem.with_prior(
+                prior_groups(numbers), settings.prior_scales, settings.unrated_scales
+            )
+            effects += dense
+        return CandidatePool(problem, effects, settings, progress)
 
     return pool_of

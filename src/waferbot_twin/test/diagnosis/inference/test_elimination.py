@@ -112,7 +112,7 @@ def judged(monkeypatch):
         def odds_beside(pool, found, name):
             asked.append(name)
             kept = tuple(cause for cause in found.causes if cause.name != name)
-            return by_logs[name], SimpleNamespace(causes=kept)
+            return by_logs[name], Hypothesis(kept, {}, {})
 
         monkeypatch.setattr(elimination, '_without_some', lambda pool, found, names: None)
         monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
@@ -122,10 +122,10 @@ def judged(monkeypatch):
         monkeypatch.setattr(
             elimination,
             'fitted',
-            lambda problem, causes, workers, enough, near: SimpleNamespace(causes=causes),
+            lambda problem, causes, workers, enough, near: Hypothesis(causes, {}, {}),
         )
         pool = SimpleNamespace(**vars(POOL), workers=1)
-        found, left = elimination.evident(pool, SimpleNamespace(causes=causes), effects, tentative)
+        found, left = elimination.evident(pool, Hypothesis(causes, {}, {}), effects, tentative)
         return [cause.name for cause in found.causes], left, asked
 
     return eliminated
@@ -162,7 +162,7 @@ def test_the_next_member_takes_the_place_of_one_that_a_fit_has_brought_to_a_boun
         Cause(Term(name), 'x', {'value': value}) for name, value in values.items()
     )
     members = [
-        Member(SimpleNamespace(causes=(cause,)), 0.0, -3.0, probability)
+        Member(Hypothesis((cause,), {}, {}), 0.0, -3.0, probability)
         for cause, probability in ((two, 0.6), (three, 0.3), (four, 0.1))
     ]
     effects = [effect_of(one), SingleEffect(tuple(members), 0.0)]

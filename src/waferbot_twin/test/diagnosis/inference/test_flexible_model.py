@@ -3,10 +3,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from waferbot_twin.diagnosis.inference.flexible_model import or_flexible
 from waferbot_twin.diagnosis.inference.forward_selection import as_fitted
+from waferbot_twin.diagnosis.inference.nuisance import nuisance
+from waferbot_twin.diagnosis.inference.refit import to_the_end
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import fit_causes
@@ -51,6 +56,33 @@ def test_all_that_gives_comes_and_is_tentative(nominal, pool_of, times, known):
     for cause in hidden:
         values = there[cause.name].values
         assert values['compliance'] == pytest.approx(cause.values['compliance'], rel=0.1)
+
+
+def test_what_gives_has_a_damping_of_its_own(nominal, pool_of):
+    """
+    Eight times that of the description: its value comes out, and stiffnesses are not wrong by it.
+
+    With the damping held as described a ring that dies quickly is taken for another stiffness.
+    """
+    hidden = [typical(nominal, name) for name in SOFT]
+    effects, numbers = nuisance(nominal, [], Settings())
+    (dampings,) = (one for one in effects if one.name == 'nuisance_dampings')
+    (axis,) = dampings.axes(nominal)
+    more = Cause(dampings, axis, {item.path: math.log(8.0) for item in numbers if item.is_damping})
+    pool = pool_of(EXPERIMENT, EFFECTS, hidden=[*hidden, more], with_dense=True)
+    before = fit_causes(pool.problem, ())
+    pool.begin(before)
+    found, _, _ = or_flexible(pool, before, [], [])
+    found = to_the_end(pool.problem, found)
+    there = {cause.effect.name: cause for cause in found.causes}
+    for cause in hidden:
+        values = there[cause.effect.name].values
+        assert values['compliance'] == pytest.approx(cause.values['compliance'], rel=0.02)
+    free = there['nuisance_dampings']
+    told = {name: math.exp(x) for name, x in free.values.items() if name not in free.held}
+    assert told['connections.cable.damping_factor'] == pytest.approx(8.0, rel=0.3)
+    assert told['connections.payload_bearing_x.damping_factor'] == pytest.approx(8.0, rel=0.3)
+    assert 'connections.belt.damping_factor' in free.held
 
 
 @pytest.mark.parametrize('known', [(), tuple(SOFT)])

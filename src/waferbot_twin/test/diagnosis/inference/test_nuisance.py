@@ -27,8 +27,8 @@ def nominal():
     return Variant.of(load_model('rigid'))
 
 
-def dense(nominal, records, **values):
-    *_, effect = nuisance(nominal, records, Settings())[0]
+def dense(nominal, records, name='nuisance_parameters', **values):
+    (effect,) = (one for one in nuisance(nominal, records, Settings())[0] if one.name == name)
     (axis,) = effect.axes(nominal)
     parameters = effect.parameters(nominal, axis)
     return Cause(effect, axis, {item.name: values.get(item.name, 0.0) for item in parameters})
@@ -85,7 +85,8 @@ def test_the_time_of_a_drive_is_open_by_what_lies_between_samples():
 def test_a_skew_of_the_dense_effect_is_that_of_a_log():
     geared = Variant.of(load_model_or_machine('geared_pendulum'))
     late = record_of_measured_log(log_of(geared, SKEW_S), geared)
-    cause = dense(geared, [replace(late, skew_spread_s=(0.0, 0.0, STEP_S))])
+    records = [replace(late, skew_spread_s=(0.0, 0.0, STEP_S))]
+    cause = dense(geared, records, 'nuisance_times')
     path = 'logs.y_rotate.skew_s'
     known = Problem(geared, [record_of_measured_log(log_of(geared, 0.0), geared)])
     (without,) = known.residuals(geared, PLANT)
@@ -106,20 +107,68 @@ def test_a_skew_of_the_dense_effect_is_that_of_a_log():
 
 def test_what_has_a_cause_does_not_deviate_besides(nominal):
     """Else a cause and a correction would share one number, and no log could tell how."""
-    (effect,), known = nuisance(nominal, [], Settings())
-    (axis,) = effect.axes(nominal)
-    off = Cause(effect, axis, {item.path: 0.5 * item.spread for item in known})
+    _, known = nuisance(nominal, [], Settings())
+    off = dense(nominal, [], **{item.path: 0.5 * item.spread for item in known})
     constant = Cause(find('force_constant'), 'x_rotate', {'ratio': 0.8})
     friction = Cause(find('coulomb_friction'), 'x_rotate', {'friction': 1.0})
     nothing = Cause(find('force_constant'), 'y_linear', {'ratio': 1.0})
     problem = SimpleNamespace(nominal=nominal)
-    *others, dense = each_once(problem, (constant, friction, nothing, off))
+    *others, once = each_once(problem, (constant, friction, nothing, off))
     assert others == [constant, friction, nothing]
-    (held,) = dense.held
+    (held,) = once.held
     assert held.startswith('motors.x_rotate.')
-    assert dense.values == {**off.values, held: 0.0}
-    (free,) = each_once(problem, (dense,))
+    assert once.values == {**off.values, held: 0.0}
+    (free,) = each_once(problem, (once,))
     assert free.held == ()
+
+
+BEARING = ('x_rotate_bearing_radial', 'x_rotate_bearing_y', 'x_rotate_bearing_z')
+
+
+def test_the_damping_of_a_part_is_off_by_a_factor_in_all_directions_of_it(nominal):
+    """A factor of 5: what is known of it is the order of magnitude, eq. (5.5)."""
+    _, known = nuisance(nominal, [], Settings())
+    (bearing,) = (one for one in known if one.is_damping and one.name in BEARING)
+    assert {bearing.name, *bearing.also} == set(BEARING)
+    changed = apply_all(
+        nominal, [dense(nominal, [], 'nuisance_dampings', **{bearing.path: math.log(5.0)})]
+    )
+    for name, before in nominal.description.connections.items():
+        times = 5.0 if name in BEARING else 1.0
+        assert changed.description.connections[name].loss_factor == pytest.approx(
+            times * before.loss_factor
+        )
+    assert changed.deviations[bearing.path] == pytest.approx(
+        math.log(5.0) / Settings().spread_of_dampings
+    )
+
+
+def test_the_damping_of_a_part_that_is_softer_too_is_both(nominal):
+    """In whatever order they come; a shaft is given without its part, with its loss factor."""
+    path = 'connections.x_rotate_shaft_torsion.damping_factor'
+    damping = dense(nominal, [], 'nuisance_dampings', **{path: math.log(5.0)})
+    for effect in ('shaft_torsion_compliance', 'shaft_bending_compliance'):
+        soft = Cause(find(effect), 'x_rotate', find(effect).typical(nominal, 'x_rotate'))
+        for causes in ((damping, soft), (soft, damping)):
+            shaft = apply_all(nominal, causes).description.connections[
+                f'x_rotate_shaft_{effect.split("_")[1]}'
+            ]
+            assert shaft.flexible
+            assert shaft.loss_factor == pytest.approx(5.0 * 0.003)
+
+
+def test_the_damping_of_what_does_not_give_is_held(nominal):
+    """Without any effect it has no part in a fit; beside a compliance that of its part is free."""
+    problem = SimpleNamespace(nominal=nominal)
+    every = dense(nominal, [], 'nuisance_dampings')
+    (rigid,) = each_once(problem, (every,))
+    assert rigid.free == 0
+    for effect in ('bearing_moment_compliance', 'bearing_radial_compliance'):
+        soft = Cause(find(effect), 'x_rotate', find(effect).typical(nominal, 'x_rotate'))
+        _, once = each_once(problem, (soft, rigid))
+        (free,) = every.values.keys() - set(once.held)
+        assert free.removeprefix('connections.').removesuffix('.damping_factor') in BEARING
+    assert each_once(problem, (soft, rigid, dense(nominal, [])))[-1].held == ()
 
 
 def test_what_a_cause_had_changed_deviates_again_when_it_is_gone(nominal, monkeypatch):

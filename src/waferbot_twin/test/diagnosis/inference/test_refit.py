@@ -36,11 +36,12 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     )
     signals = run_commanded(nominal, timing, commanded, timing.ticks(0.1))
     record = record_of_signals('log', signals)
-    (dense,), numbers = nuisance(nominal, [record], Settings())
+    (dense, _), numbers = nuisance(nominal, [record], Settings())
     problem = Problem(nominal, [record]).with_prior(prior_groups(numbers))
     effect = find(name)
     cause = Cause(effect, 'x_rotate', effect.typical(nominal, 'x_rotate'))
-    off = Cause(dense, 'y_linear', {item.path: 0.1 * item.spread for item in numbers})
+    spreads = {item.name: item.spread for item in dense.parameters(nominal, 'y_linear')}
+    off = Cause(dense, 'y_linear', {name: 0.1 * spread for name, spread in spreads.items()})
     found = evaluate(problem, each_once(problem, (cause, off)))
     assert bool(found.causes[1].held) == frees
     known = dict(

@@ -52,7 +52,8 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
 
     monkeypatch.setattr(search, 'evaluate', lambda problem: hypothesis())
     monkeypatch.setattr(search, 'ask_on', ask_on)
-    monkeypatch.setattr(search, 'or_flexible', lambda pool, *found: found)
+    for name in ('or_flexible', 'or_other_loads'):
+        monkeypatch.setattr(search, name, lambda pool, *found: found)
     monkeypatch.setattr(
         search, 'evident', lambda pool, found, effects, tentative: (found, effects)
     )
@@ -76,12 +77,21 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
 
 
 def test_what_gives_is_judged_with_what_came_along(monkeypatch):
-    """The flexible model takes the place of the one that was asked for; then both have to be evident."""
-    effect, along, soft = (
+    """
+    The flexible model takes the place of the one that was asked for, that with another load of this one.
+
+    Then all have to be evident.
+    """
+    effect, along, soft, load = (
         SingleEffect((Member(hypothesis(name), 9.0, -3.0, 0.9),), 0.1)
-        for name in ('friction', 'inertia', 'cable')
+        for name in ('friction', 'inertia', 'cable', 'load')
     )
     flexible, judged = hypothesis('friction', 'inertia', 'cable'), []
+    loaded = hypothesis('friction', 'cable', 'load')
+
+    def or_other_loads(pool, found, effects, tentative):
+        assert (found, tentative) == (flexible, [along, soft])
+        return loaded, effects, [soft, load]
 
     def evident(pool, found, effects, tentative):
         judged.append((found, effects, tentative))
@@ -95,6 +105,7 @@ def test_what_gives_is_judged_with_what_came_along(monkeypatch):
         'or_flexible': lambda pool, found, effects, tentative: (
             flexible, effects, [*tentative, soft]
         ),
+        'or_other_loads': or_other_loads,
         'evident': evident,
         'ask_again': lambda pool, found, effects, most: (found, effects, 0),
         'beside_rival_models': lambda pool, found, effects, most: (found, effects, 0),
@@ -103,7 +114,7 @@ def test_what_gives_is_judged_with_what_came_along(monkeypatch):
     }.items():  # fmt: skip
         monkeypatch.setattr(search, name, value)
     found = search.infer(POOL)
-    assert judged == [(flexible, [effect], [along, soft])]
+    assert judged == [(loaded, [effect], [soft, load])]
     assert found.effects == (effect, soft)
 
 
@@ -135,6 +146,7 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
         ),
         'ask_on': ask_on,
         'or_flexible': lambda pool, *found: found,
+        'or_other_loads': lambda pool, *found: found,
         'evident': lambda pool, found, effects, tentative: (found, effects),
         'ask_again': lambda pool, found, effects, most: (found, effects, 0),
         'beside_rival_models': lambda pool, found, effects, most: (found, effects, 0),

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
+from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import Refits
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.proposals.cogging_orders import (
@@ -204,6 +204,23 @@ class CandidatePool:
             if is_nuisance(cause) or cause.effect.name in LEAST_SQUARES:
                 first.setdefault(cause.name, cause)
         return tuple(first.values())
+
+    def dense_beside(self, causes: Sequence[Cause]) -> tuple[Cause, ...]:
+        """Return the dense effects that are not among some causes, without what these leave no say."""
+        there = {cause.name for cause in causes}
+        more = [cause for cause in self.dense if cause.name not in there]
+        once = each_once(self.problem, (*causes, *more))[len(causes) :]
+        return tuple(cause for cause in once if cause.free)
+
+    def of_effect(self, name: str) -> tuple[Cause, ...]:
+        """Return the candidates of an effect, one on each axis, none of them there yet."""
+        own = {cause.name: cause for cause in self._candidates if cause.effect.name == name}
+        return tuple(
+            cause.with_values(
+                {item.name: item.neutral for item in parameters_of(self.problem, cause)}
+            )
+            for cause in own.values()
+        )
 
     def parts_that_may_give(self) -> tuple[Cause, ...]:
         """Return the compliances of what the model holds rigid, each as its description has it."""

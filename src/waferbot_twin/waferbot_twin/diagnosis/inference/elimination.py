@@ -33,14 +33,15 @@ from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
 from waferbot_twin.estimation.gauss_newton import ENOUGH, names_of
-from waferbot_twin.estimation.hypothesis import Hypothesis, on_a_bound, parameters_of
+from waferbot_twin.estimation.hypothesis import Hypothesis, parameters_of
+from waferbot_twin.estimation.intervals import on_a_bound
 from waferbot_twin.estimation.size_prior import (
     information_of_logs,
     log_prior,
     precision,
     scales_of,
 )
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Problem
 
 
 def evident(
@@ -76,7 +77,11 @@ def evident(
             open_ones &= names
             continue
         by_linear = _linear_odds(pool, found)
-        on_bounds = {one.name for one in found.causes if _stands_in(pool.problem, one)}
+        on_bounds = {
+            one.name
+            for place, one in enumerate(found.causes)
+            if _stands_in(pool.problem, found, place)
+        }
         name = min(sorted(open_ones), key=lambda one: (one not in on_bounds, by_linear[one]))
         instead = _with_next_member(pool, found, left, name) if name in on_bounds else None
         if instead is not None:
@@ -104,9 +109,9 @@ def evident(
     ]
 
 
-def _stands_in(problem: Problem, cause: Cause) -> bool:
-    """Return whether a fitted cause can only stand in for another one."""
-    return on_a_bound(problem, cause) or not repeats_in(problem, cause)
+def _stands_in(problem: Problem, found: Hypothesis, place: int) -> bool:
+    """Return whether the fitted cause at a place can only stand in for another one."""
+    return on_a_bound(problem, found, place) or not repeats_in(problem, found.causes[place])
 
 
 def _with_next_member(
@@ -124,7 +129,7 @@ def _with_next_member(
     members = tuple(
         one
         for one in effect.members[1:]
-        if one.cause.name not in there and not _stands_in(pool.problem, one.cause)
+        if one.cause.name not in there and not _stands_in(pool.problem, one.found, -1)
     )
     if not members:
         return None

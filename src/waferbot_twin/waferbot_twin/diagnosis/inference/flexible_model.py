@@ -13,14 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
-from waferbot_twin.diagnosis.inference.forward_selection import (
-    as_fitted,
-    log_odds_between,
-    some_of_each,
-)
-from waferbot_twin.diagnosis.inference.nuisance import each_once
-from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
+from waferbot_twin.diagnosis.inference.as_a_whole import Found, or_instead
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.nuisance import is_damping
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
 from waferbot_twin.estimation.hypothesis import Hypothesis
 
@@ -30,32 +25,18 @@ def or_flexible(
     found: Hypothesis,
     effects: Sequence[SingleEffect],
     tentative: Sequence[SingleEffect],
-) -> tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]:
+) -> Found:
     """
     Return the model that was found, or with it all that it holds rigid, whichever is more probable.
 
-    Fitted from where each connection is as its description has it (`CandidatePool.parts_that_may_give`).
-    What came so is `tentative`: it stays if it is evident beside all others.
+    Fitted from where each connection is as its description has it (`CandidatePool.parts_that_may_give`),
+    its damping too. What came so is tentative.
     """
-    problem = pool.problem
     there = {cause.name for cause in found.causes}
     parts = [cause for cause in pool.parts_that_may_give() if cause.name not in there]
-    same = found, list(effects), list(tentative)
     if not parts:
-        return same
+        return found, list(effects), list(tentative)
+    beside = pool.dense_beside((*found.causes, *parts))
+    dampings = [cause for cause in beside if is_damping(cause)]
     pool.progress('flexible model', 0, 1)
-    flexible = fitted(
-        problem,
-        each_once(problem, (*found.causes, *parts)),
-        pool.workers,
-        near=found,
-        begun=signatures_by_name(pool, found),
-        roughly=ROUGHLY,
-    )
-    if flexible is None:
-        return same
-    flexible, own, along = some_of_each(problem, flexible, effects, tentative)
-    if log_odds_between(pool, flexible, found) <= 0.0:
-        return same
-    new = [as_fitted(pool, flexible, one) for one in flexible.causes if one.name not in there]
-    return flexible, own, [*along, *new]
+    return or_instead(pool, found, effects, tentative, (*found.causes, *parts, *dampings))

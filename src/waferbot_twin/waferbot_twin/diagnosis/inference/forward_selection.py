@@ -43,9 +43,9 @@ from waferbot_twin.estimation.hypothesis import (
     evaluate,
     is_nothing,
     lets_go,
-    on_a_bound,
     parameters_of,
 )
+from waferbot_twin.estimation.intervals import on_a_bound
 from waferbot_twin.estimation.separable import part_of
 from waferbot_twin.estimation.size_prior import log_prior, scales_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
@@ -198,11 +198,14 @@ def _by_names(
         members = more.members
 
 
-def log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) -> float:
+def log_odds_between(
+    pool: CandidatePool, one: Hypothesis, other: Hypothesis, power_known: bool = False
+) -> float:
     """
     Return ln of the posterior odds of one hypothesis against another, whatever causes each has.
 
-    A cause with other parameters is another one.
+    A cause with other parameters is another one. With `power_known` as if the power of the noise along
+    what the two do differently were known (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
 
@@ -221,7 +224,7 @@ def log_odds_between(pool: CandidatePool, one: Hypothesis, other: Hypothesis) ->
                 total += pool.log_prior(cause)
         return total
 
-    return gain(one, other) + own(one) - own(other)
+    return gain(one, other, power_known=power_known) + own(one) - own(other)
 
 
 def fitted_together(
@@ -385,15 +388,16 @@ def posterior_beside(
     problem, settings = pool.problem, pool.settings
     chosen = within_reach(problem, screened, settings)
     if present is None:
-        there = {cause.name for cause in (*base.causes, *(item.cause for item in chosen))}
-        chosen += [untempered(cause, 0.0) for cause in pool.dense if cause.name not in there]
+        there = {item.cause.name for item in chosen}
+        dense = (one for one in pool.dense_beside(base.causes) if one.name not in there)
+        chosen += [untempered(cause, 0.0) for cause in dense]
     known = pool.signatures_of(base) if present is None else pool.signatures_of(present)[:-1]
     refitted = pool.refits(base, chosen, known)
     refitted += [present] if present is not None else []
     refitted = [
         one
         for one in refitted
-        if not on_a_bound(problem, one.causes[-1]) and not is_nothing(problem, one.causes[-1])
+        if not on_a_bound(problem, one, -1) and not is_nothing(problem, one.causes[-1])
     ]
     members = [
         Member(

@@ -10,12 +10,13 @@ the prior
 
     p = p_0 + c x,    x / s ~ Student's t, all together, |x| <= 3 s,    s its usual spread,        (1)
 
-a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has; for the
-time of a drive between its samples (`residuals.drive_path`) p_0 is 0, c 1 s, s what the log leaves open
-(`Record.skew_spread_s`), and |x| half a step at most. A dense effect competes with the causes as a
-whole: where one thing alone is wrong, that is far more probable than many which happen to look like it;
-where all are a little off, no one of them is a cause. A parameter becomes a cause, beside the dense
-effects, only where it is further off than (1) has it.
+a part of every fit (`residuals.prior_block`, equation (2)). c is p_0 for what a data sheet has. The
+damping of what gives is in no data sheet: it is known to a factor, p = p_0 exp(x), and is free where
+something gives. For the time of a drive between its samples (`residuals.drive_path`) p_0 is 0, c 1 s, s
+what the log leaves open (`Record.skew_spread_s`), and |x| half a step at most. A dense effect competes
+with the causes as a whole: where one thing alone is wrong, that is far more probable than many which
+happen to look like it; where all are a little off, no one of them is a cause. A parameter becomes a
+cause, beside the dense effects, only where it is further off than (1) has it.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ import numpy as np
 from waferbot_lockstep.contract import AXES
 from waferbot_plant.description_drives import FORCE_KEYS
 from waferbot_plant.motors import force_constant
-from waferbot_twin.diagnosis.corrections import Correction
+from waferbot_twin.diagnosis.corrections import Correction, corrected
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
@@ -42,11 +43,15 @@ from waferbot_twin.estimation.hypothesis import (
     standard_errors,
 )
 from waferbot_twin.estimation.intervals import NORMAL_95
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 
 NAME = 'nuisance_parameters'
+NAME_OF_DAMPINGS = 'nuisance_dampings'
 NAME_OF_LOGS = 'nuisance_times'
+
+DAMPING = 'damping_factor'
+"""Key of the damping of a connection, as a factor."""
 
 LOGS = 'logs'
 """Section of what is off in logs, and not in the machine's description."""
@@ -60,7 +65,9 @@ class Number:
     """
     One number of a description: section, name and key where it stands, and its usual spread.
 
-    `words` and `unit` are for the report; `value` is what the model has there.
+    `words` and `unit` are for the report; `value` is what the model has there. `also` are further names
+    in the section with the same number: a part that several connections are of. One with the `key`
+    `DAMPING` is the factor of what the model has, and its spread that of the logarithm.
     """
 
     section: str
@@ -70,6 +77,12 @@ class Number:
     words: str
     unit: str
     value: float
+    also: tuple[str, ...] = ()
+
+    @property
+    def is_damping(self) -> bool:
+        """Whether it is the damping of what gives, known to a factor."""
+        return self.key == DAMPING
 
     @property
     def per_x(self) -> float:
@@ -94,6 +107,7 @@ def numbers(variant: Variant, records: Sequence[Record], settings: Settings) -> 
         *_of_bodies(variant, settings),
         *_of_motors(variant, settings),
         *_of_frictions(variant, settings),
+        *_of_connections(variant, settings),
         *_of_logs(records),
     ]
 
@@ -164,6 +178,35 @@ def _of_frictions(variant: Variant, settings: Settings) -> list[Number]:
     return found
 
 
+def _of_connections(variant: Variant, settings: Settings) -> list[Number]:
+    """Return the damping of every part that gives or may give; one of several connections once."""
+    found = []
+    for part, (name, *others) in _connections_of_parts(variant).items():
+        connection = variant.description.connections[name]
+        viscous = connection.loss_factor is None
+        value = float((connection.damping if viscous else connection.loss_factor) or 0.0)
+        if value <= 0.0:
+            continue
+        words = f'{"damping" if viscous else "loss factor"} of {part.replace("_", " ")}'
+        unit = ('Nm s/rad' if connection.rotary else 'N s/m') if viscous else ''
+        found.append(
+            Number(
+                'connections', name, DAMPING, settings.spread_of_dampings, words, unit, value,
+                tuple(others),
+            )
+        )  # fmt: skip
+    return found
+
+
+def _connections_of_parts(variant: Variant) -> dict[str, list[str]]:
+    """Return the connections of every part by its name; of one without a part, itself by its own."""
+    entries = variant.machine.get('connections') or {}
+    found: dict[str, list[str]] = {}
+    for name in variant.description.connections:
+        found.setdefault(entries[name].get('part', name), []).append(name)
+    return found
+
+
 def _of_logs(records: Sequence[Record]) -> list[Number]:
     """Return the time of the drive of every axis, the same in all logs, as far as they leave it open."""
     spreads = np.zeros(len(AXES))
@@ -190,16 +233,30 @@ def prior_groups(known: Sequence[Number]) -> list[list[str]]:
 
 
 def _groups(known: Sequence[Number]) -> list[list[Number]]:
-    """Return the numbers of a machine, and those of logs: none without any."""
-    of_machine, of_logs = (
-        [item for item in known if (item.section == LOGS) == logs] for logs in (False, True)
-    )
-    return [group for group in (of_machine, of_logs) if group]
+    """Return the numbers of a machine, its dampings, and those of logs: none without any."""
+    by_name: dict[str, list[Number]] = {NAME: [], NAME_OF_DAMPINGS: [], NAME_OF_LOGS: []}
+    for item in known:
+        by_name[_effect_of(item)].append(item)
+    return [group for group in by_name.values() if group]
+
+
+def _effect_of(item: Number) -> str:
+    """Return the name of the dense effect that a number is of."""
+    if item.section == LOGS:
+        return NAME_OF_LOGS
+    return NAME_OF_DAMPINGS if item.is_damping else NAME
+
+
+_SUMMARIES = {
+    NAME: 'parameters a little different from the model',
+    NAME_OF_DAMPINGS: 'damping of what gives different from the model',
+    NAME_OF_LOGS: 'times a little different from the model',
+}
 
 
 def _dense(known: Sequence[Number]) -> Effect:
     """Return some numbers as one effect, on the first axis of a machine with a motor."""
-    of_logs = known[0].section == LOGS
+    name = _effect_of(known[0])
 
     def parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         return tuple(
@@ -215,15 +272,17 @@ def _dense(known: Sequence[Number]) -> Effect:
             if item.section == LOGS:
                 between_s[item.name] = value
                 continue
-            entry = machine.setdefault(item.section, {}).setdefault(item.name, {})
-            entry[item.key] = _scaled(variant, item, 1.0 + value)
+            ratio = math.exp(value) if item.is_damping else 1.0 + value
+            for place in (item.name, *item.also):
+                entry = machine.setdefault(item.section, {}).setdefault(place, {})
+                entry[item.key] = _scaled(variant, replace(item, name=place), ratio)
         deviations = {item.path: values[item.path] / item.spread for item in known}
         return Overlay(machine, deviations=deviations, between_s=between_s)
 
     return Effect(
-        NAME_OF_LOGS if of_logs else NAME,
+        name,
         Block.PLANT,
-        f'{"times" if of_logs else "parameters"} a little different from the model',
+        _SUMMARIES[name],
         lambda variant: places.motor_axes(variant)[:1],
         parameters,
         overlay,
@@ -240,14 +299,20 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
 
 def is_nuisance(cause: Cause) -> bool:
     """Return whether a cause is a dense effect."""
-    return cause.effect.name in (NAME, NAME_OF_LOGS)
+    return cause.effect.name in _SUMMARIES
+
+
+def is_damping(cause: Cause) -> bool:
+    """Return whether a cause is the dense effect of what damps the parts that give."""
+    return cause.effect.name == NAME_OF_DAMPINGS
 
 
 def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     """
     Return causes; what any of them changes does not deviate in the dense effect as well.
 
-    No log could tell the two apart: such parameters are held where the model has them.
+    No log could tell the two apart: such parameters are held where the model has them, and so is the
+    damping of what does not give.
     """
     changed: set[tuple[str, str]] = set()
     for cause in causes:
@@ -256,12 +321,24 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
                 cause.effect.apply(problem.nominal, cause.axis, cause.values)
             )
     paths = {path for path, _ in changed}
+    if any(is_nuisance(cause) for cause in causes):
+        paths |= _dampings_of_rigid(problem.nominal, apply_all(problem.nominal, causes))
 
     def once(dense: Cause) -> Cause:
         held = tuple(name for name in dense.values if name in paths)
         return replace(dense, held=held).with_values(dict.fromkeys(held, 0.0))
 
     return tuple(once(cause) if is_nuisance(cause) else cause for cause in causes)
+
+
+def _dampings_of_rigid(nominal: Variant, variant: Variant) -> set[str]:
+    """Return the paths of the dampings of a model which have no effect in a variant: nothing gives."""
+    connections = variant.description.connections
+    return {
+        f'connections.{names[0]}.{DAMPING}'
+        for names in _connections_of_parts(nominal.base).values()
+        if not any(connections[name].flexible for name in names)
+    }
 
 
 def _entries(variant: Variant) -> set[tuple[str, str]]:
@@ -289,13 +366,19 @@ def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> lis
         for parameter, error in zip(parameters_of(problem, cause), own, strict=False):
             item, value = by_path[parameter.name], cause.values[parameter.name]
             reach = NORMAL_95 * float(error)
-            rows.append(
-                (
-                    abs(value) / item.spread,
-                    Correction(
-                        item.words, item.path, item.unit, item.value,
-                        *(item.value + item.per_x * x for x in (value, value - reach, value + reach)),
-                    ),
-                )
-            )  # fmt: skip
+            found_there, low, high = (
+                corrected(item.value, x, item.is_damping)
+                for x in (value, value - reach, value + reach)
+            )
+            correction = Correction(
+                item.words,
+                item.path,
+                item.unit,
+                item.value,
+                found_there,
+                low,
+                high,
+                item.is_damping,
+            )
+            rows.append((abs(value) / item.spread, correction))
     return [row for _, row in sorted(rows, key=lambda pair: -pair[0])]

@@ -384,7 +384,7 @@ def _released(
     """
     last = _free(found.causes[-1])
     held = found.causes[-1].held
-    if not any(item.name in held for item in parameters_of(problem, last)):
+    if not any(item.fixed and item.name in held for item in parameters_of(problem, last)):
         return None
 
     try:

@@ -26,6 +26,8 @@ class Settings:
     spread_of_masses, spread_of_force_constants, spread_of_frictions
                        standard deviations, as shares, by which every machine's parameters differ from
                        its model's (`nuisance`)
+    spread_of_dampings standard deviation of the natural logarithm of the damping of what gives: within
+                       a factor of 20 of the model's (two of them), as the thesis had to raise it
     included_from      inclusion probability from which on an effect is in the model of the search: with
                        1/2 that is the one of all models that predicts best (M. Barbieri, J. Berger,
                        Annals of Statistics 32, 2004: median probability model)
@@ -49,6 +51,7 @@ class Settings:
     spread_of_masses: float = 0.03
     spread_of_force_constants: float = 0.03
     spread_of_frictions: float = 0.1
+    spread_of_dampings: float = 1.5
     included_from: float = 0.5
     named_from: float = 10.0 / 11.0
     credible_level: float = 0.95
@@ -76,6 +79,10 @@ class Settings:
             raise UserError(
                 f'named_from is {self.named_from}, less than included_from, {self.included_from}; '
                 'what is named must be in the model'
+            )
+        if self.spread_of_dampings <= 0.0:
+            raise UserError(
+                f'spread_of_dampings is {self.spread_of_dampings}; it must be greater than 0'
             )
         scales = (*self.prior_scales, *self.unrated_scales)
         if self.expected_causes <= 0.0 or not all(scale > 0.0 for scale in scales):

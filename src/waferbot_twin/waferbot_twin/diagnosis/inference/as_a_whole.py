@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""
+Another model as a whole beside the one that was found: many causes at once, which alone are not seen.
+
+Where much lacks, what is left over along any direction is far more than noise, and nothing is evident
+beside it. So models are weighed as if the power of the noise were known, as a single cause is that comes
+for the time being (`forward_selection`); what came has to be evident in the end (`elimination`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
+from waferbot_twin.diagnosis.inference.forward_selection import (
+    as_fitted,
+    log_odds_between,
+    some_of_each,
+)
+from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
+from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
+from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.residuals.problem import Cause
+
+Found = tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]
+"""A hypothesis, its effects that were asked for, and those that are tentative."""
+
+
+def or_instead(
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: Sequence[SingleEffect],
+    tentative: Sequence[SingleEffect],
+    causes: Sequence[Cause],
+) -> Found:
+    """
+    Return the model that was found or one with other `causes`, whichever is more probable.
+
+    Fitted roughly from where these are; what `found` does not have is tentative.
+    """
+    other = fitted(
+        pool.problem,
+        each_once(pool.problem, causes),
+        pool.workers,
+        near=found,
+        begun=signatures_by_name(pool, found),
+        roughly=ROUGHLY,
+    )
+    if other is None:
+        return found, list(effects), list(tentative)
+    other, own, along = some_of_each(pool.problem, other, effects, tentative)
+    if log_odds_between(pool, other, found, power_known=True) <= 0.0:
+        return found, list(effects), list(tentative)
+    there = {cause.name for cause in found.causes}
+    new = [as_fitted(pool, other, cause) for cause in other.causes if cause.name not in there]
+    return other, own, [*along, *new]
