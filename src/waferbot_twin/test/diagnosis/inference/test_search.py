@@ -45,7 +45,7 @@ def hypothesis(*names):
 def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, asked):
     usual_were_there, forward, left = [], list(forward), list(left)
 
-    def ask_on(pool, found, effects, most, usual):
+    def ask_on(pool, found, effects, most, usual, as_a_whole):
         usual_were_there.append(usual)
         wanted, times = forward.pop(0)
         return found, effects, [], wanted, times
@@ -99,7 +99,7 @@ def test_what_gives_is_judged_with_what_came_along(monkeypatch):
 
     for name, value in {
         'evaluate': lambda problem: hypothesis(),
-        'ask_on': lambda pool, found, effects, most, usual: (
+        'ask_on': lambda pool, found, effects, most, usual, as_a_whole: (
             hypothesis('friction', 'inertia'), [effect], [along], {'friction'}, 2
         ),
         'or_flexible': lambda pool, found, effects, tentative: (
@@ -134,7 +134,7 @@ def test_a_search_goes_on_from_what_was_found_with_another_observer(
     begun, told = Posterior(hypothesis(), before, effects, 2), []
     fitted = hypothesis('friction', 'belt')
 
-    def ask_on(pool, found, effects, most, usual):
+    def ask_on(pool, found, effects, most, usual, as_a_whole):
         told.append((found, effects, usual))
         return found, effects, [], set(), 1
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
 from waferbot_twin.diagnosis.inference.forward_selection import (
+    Found,
     as_fitted,
     log_odds_between,
     some_of_each,
@@ -22,9 +23,6 @@ from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import Cause
-
-Found = tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]
-"""A hypothesis, its effects that were asked for, and those that are tentative."""
 
 
 def or_instead(

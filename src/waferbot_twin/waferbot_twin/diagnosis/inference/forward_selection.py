@@ -9,7 +9,7 @@ position of an axis without a name (`discrepancy`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -53,6 +53,12 @@ from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Array
 
+Found = tuple[Hypothesis, list[SingleEffect], list[SingleEffect]]
+"""A hypothesis, its effects that were asked for, and those that are tentative."""
+
+WholeModels = Callable[[CandidatePool, Hypothesis, list[SingleEffect], list[SingleEffect]], Found]
+"""Weighs other models as a whole against the one that was found."""
+
 ROUNDING = 0.01
 """Of a probability: fits end where a round gains some hundredths in ln L."""
 
@@ -63,6 +69,7 @@ def ask_on(
     effects: list[SingleEffect],
     most: int,
     usual: bool,
+    as_a_whole: WholeModels = lambda pool, *found: found,
 ) -> tuple[Hypothesis, list[SingleEffect], list[SingleEffect], set[str], int]:
     """
     Add effects as long as one is included.
@@ -82,6 +89,9 @@ def ask_on(
     found by then. A force without a name is asked for again beside them, and not there before: it would
     do what several of them do together. `usual` says that they have been there. Where it is ahead
     again, other causes may still do together what it does (`_by_names`).
+
+    When they have come, what only many causes together explain is weighed `as_a_whole`: what is asked
+    for beside a rigid machine with the wrong load would stand in for what rings and weighs.
     """
     asked, along = 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
@@ -112,6 +122,7 @@ def ask_on(
                 effects.append(own)
                 causes = (*causes, own.best.cause)
         first: list[Cause] = []
+        come = not usual
         if not usual and (asked > 1 or without_name):
             usual = True
             there = {cause.name for cause in causes}
@@ -127,6 +138,8 @@ def ask_on(
         tentative += [as_fitted(pool, found, one) for one in first if one.name in names]
         found = _with_their_orders(pool, found)
         found, effects, tentative = some_of_each(pool.problem, found, effects, tentative)
+        if come and usual:
+            found, effects, tentative = as_a_whole(pool, found, effects, tentative)
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from waferbot_twin.diagnosis.inference.as_a_whole import Found, or_instead
+from waferbot_twin.diagnosis.inference.as_a_whole import or_instead
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.forward_selection import Found
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
 from waferbot_twin.effects import load
 from waferbot_twin.estimation.hypothesis import Hypothesis

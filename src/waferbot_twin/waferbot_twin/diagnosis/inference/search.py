@@ -2,14 +2,15 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`forward_selection`); all that is held
-rigid may give as well (`flexible_model`), and what an axis carries may be another load (`load_model`).
-What is not evident goes (`elimination`). Then each is asked for anew beside all others, as often as one
-changes (`revision`). Where one of those that were asked for has gone, what it stood for may still lack:
-more are added, and so on (stepwise selection). The posterior of each is that of `single_effects`, from
-fits through the simulation for every candidate that the linear problem puts within reach (`refit`).
-Models that other choices lead to are weighed against the one that was found (`rival_models`). Last, what
-the closed loop has made of noise is taken out (`feigned`).
+Effects are added as long as one is more probable than not (`forward_selection`). When what every
+machine has some of is there, and in the end, all that is held rigid may give as well (`flexible_model`)
+and what an axis carries be another load (`load_model`). What is not evident goes (`elimination`). Then
+each is asked for anew beside all others, as often as one changes (`revision`). Where one of those that
+were asked for has gone, what it stood for may still lack: more are added, and so on (stepwise
+selection). The posterior of each is that of `single_effects`, from fits through the simulation for every
+candidate that the linear problem puts within reach (`refit`). Models that other choices lead to are
+weighed against the one that was found (`rival_models`). Last, what the closed loop has made of noise is
+taken out (`feigned`).
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.elimination import evident
 from waferbot_twin.diagnosis.inference.feigned import without_feigned
 from waferbot_twin.diagnosis.inference.flexible_model import or_flexible
-from waferbot_twin.diagnosis.inference.forward_selection import as_fitted, ask_on
+from waferbot_twin.diagnosis.inference.forward_selection import Found, as_fitted, ask_on
 from waferbot_twin.diagnosis.inference.load_model import or_other_loads
 from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end
 from waferbot_twin.diagnosis.inference.revision import ask_again
 from waferbot_twin.diagnosis.inference.rival_models import beside_rival_models
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
-from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate
 
 
 def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
@@ -49,10 +50,11 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     seen = set[frozenset[str]]()
     usual = begun is not None
     while True:
-        found, effects, tentative, wanted, asked = ask_on(pool, found, effects, most, usual)
+        found, effects, tentative, wanted, asked = ask_on(
+            pool, found, effects, most, usual, beside_whole_models
+        )
         most -= asked
-        found, effects, tentative = or_flexible(pool, found, effects, tentative)
-        found, effects, tentative = or_other_loads(pool, found, effects, tentative)
+        found, effects, tentative = beside_whole_models(pool, found, effects, tentative)
         found, effects = evident(pool, found, effects, tentative)
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
@@ -69,3 +71,14 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
             return Posterior(nothing, found, tuple(effects), len(pool.names))
         for name in feigned:
             pool.leave_out(name)
+
+
+def beside_whole_models(
+    pool: CandidatePool,
+    found: Hypothesis,
+    effects: list[SingleEffect],
+    tentative: list[SingleEffect],
+) -> Found:
+    """Return the most probable of the model that was found, the flexible one, that with other loads."""
+    found, effects, tentative = or_flexible(pool, found, effects, tentative)
+    return or_other_loads(pool, found, effects, tentative)

@@ -55,7 +55,7 @@ class Settings:
     included_from: float = 0.5
     named_from: float = 10.0 / 11.0
     credible_level: float = 0.95
-    most_causes: int = 30
+    most_causes: int = 40
     most_refits: int = 8
     most_asked: int = 24
     refutation_level: float = 1e-3
