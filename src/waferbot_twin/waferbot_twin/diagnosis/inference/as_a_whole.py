@@ -21,6 +21,7 @@ from waferbot_twin.diagnosis.inference.forward_selection import (
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
+from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.residuals.problem import Cause
 
@@ -33,9 +34,10 @@ def or_instead(
     causes: Sequence[Cause],
 ) -> Found:
     """
-    Return the model that was found or one with other `causes`, whichever is more probable.
+    Return the model that was found, or one with other `causes` that is likelier and more probable.
 
-    Fitted roughly from where these are; what `found` does not have is tentative.
+    Fitted roughly from where these are; what `found` does not have is tentative. One that has only fewer
+    causes is left to elimination.
     """
     other = fitted(
         pool.problem,
@@ -48,7 +50,8 @@ def or_instead(
     if other is None:
         return found, list(effects), list(tentative)
     other, own, along = some_of_each(pool.problem, other, effects, tentative)
-    if log_odds_between(pool, other, found, power_known=True) <= 0.0:
+    likelier = gain(other, found, power_known=True) > 0.0
+    if not likelier or log_odds_between(pool, other, found, power_known=True) <= 0.0:
         return found, list(effects), list(tentative)
     there = {cause.name for cause in found.causes}
     new = [as_fitted(pool, other, cause) for cause in other.causes if cause.name not in there]

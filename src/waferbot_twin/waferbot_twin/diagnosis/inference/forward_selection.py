@@ -18,7 +18,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
-from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.nuisance import each_once, is_damping
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
     Refits,
@@ -85,15 +85,16 @@ def ask_on(
     along it were known is in the model for the time being, too. And whichever came first would take what
     many others leave over. So where something is found a second time, what everybody fits first comes
     along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
-    (`CandidatePool.usual`). These are tentative: each stays if it is evident beside all that was
-    found by then. A force without a name is asked for again beside them, and not there before: it would
-    do what several of them do together. `usual` says that they have been there. Where it is ahead
-    again, other causes may still do together what it does (`_by_names`).
+    (`CandidatePool.usual`). The damping of what gives, which nobody knows, is no such find. What came so
+    is tentative: each stays if it is evident beside all that was found by then. A force without a name
+    is asked for again beside them, and not there before: it would do what several of them do together.
+    `usual` says that they have been there. Where it is ahead again, other causes may still do together
+    what it does (`_by_names`).
 
     When they have come, what only many causes together explain is weighed `as_a_whole`: what is asked
     for beside a rigid machine with the wrong load would stand in for what rings and weighs.
     """
-    asked, along = 0, set[str]()
+    asked, finds, along = 0, 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = ask(pool, found)
@@ -123,7 +124,8 @@ def ask_on(
                 causes = (*causes, own.best.cause)
         first: list[Cause] = []
         come = not usual
-        if not usual and (asked > 1 or without_name):
+        finds += not is_damping(best.cause)
+        if not usual and (finds > 1 or without_name):
             usual = True
             there = {cause.name for cause in causes}
             first = [cause for cause in pool.usual() if cause.name not in there]
