@@ -10,6 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.timing import Timing
 from waferbot_twin.diagnosis.inference import single_effects
 from waferbot_twin.diagnosis.inference.nuisance import LOGS, each_once, nuisance
 from waferbot_twin.diagnosis.inference.settings import Settings
@@ -188,3 +190,14 @@ def test_what_a_cause_had_changed_deviates_again_when_it_is_gone(nominal, monkey
     left = posterior.without(problem, [constant])
     assert left.effects == effects[1:]
     assert [cause.held for cause in left.found.causes] == [()]
+
+
+def test_where_there_is_no_such_machine_that_is_for_its_simulation_to_say(nominal):
+    """A load within its bounds, heavy and far out at once, is more than the bearing's chart has."""
+    parameters = find('load').parameters(nominal, 'x_rotate')
+    beyond = Cause(find('load'), 'x_rotate', {item.name: item.high for item in parameters})
+    with pytest.raises(UserError, match='beyond the last point'):
+        apply_all(nominal, (beyond,)).build(Timing())
+    every = dense(nominal, [], 'nuisance_dampings')
+    _, once = each_once(SimpleNamespace(nominal=nominal), (beyond, every))
+    assert once.held == ()

@@ -121,8 +121,8 @@ def instrumented_gain(
     and what exact blocks gain. None if the model does not stand in these motions.
     """
     blocks = [block for block in noise_free[0].blocks if block in more.fits]
-    with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
     try:
+        with_it, without = (apply_all(problem.nominal, item) for item in (more.causes, others))
         own = problem.ideal(others)
         fewer = {block: problem.residuals(without, block) for block in more.fits}
         free = [

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 
 from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
 from waferbot_plant.description_drives import FORCE_KEYS
 from waferbot_plant.motors import force_constant
 from waferbot_twin.diagnosis.corrections import Correction, corrected
@@ -322,7 +323,7 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
             )
     paths = {path for path, _ in changed}
     if any(is_nuisance(cause) for cause in causes):
-        paths |= _dampings_of_rigid(problem.nominal, apply_all(problem.nominal, causes))
+        paths |= _dampings_of_rigid(problem.nominal, causes)
 
     def once(dense: Cause) -> Cause:
         held = tuple(name for name in dense.values if name in paths)
@@ -331,9 +332,16 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(once(cause) if is_nuisance(cause) else cause for cause in causes)
 
 
-def _dampings_of_rigid(nominal: Variant, variant: Variant) -> set[str]:
-    """Return the paths of the dampings of a model which have no effect in a variant: nothing gives."""
-    connections = variant.description.connections
+def _dampings_of_rigid(nominal: Variant, causes: Sequence[Cause]) -> set[str]:
+    """
+    Return the paths of the dampings which have no effect beside causes, as nothing gives there.
+
+    None where there is no such machine: that is for whoever simulates it to say.
+    """
+    try:
+        connections = apply_all(nominal, causes).description.connections
+    except UserError:
+        return set()
     return {
         f'connections.{names[0]}.{DAMPING}'
         for names in _connections_of_parts(nominal.base).values()
