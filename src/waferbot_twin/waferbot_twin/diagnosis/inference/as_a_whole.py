@@ -21,8 +21,7 @@ from waferbot_twin.diagnosis.inference.forward_selection import (
 from waferbot_twin.diagnosis.inference.nuisance import each_once
 from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
-from waferbot_twin.estimation.evidence import gain
-from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio
 from waferbot_twin.residuals.problem import Cause
 
 
@@ -50,7 +49,7 @@ def or_instead(
     if other is None:
         return found, list(effects), list(tentative)
     other, own, along = some_of_each(pool.problem, other, effects, tentative)
-    likelier = gain(other, found, power_known=True) > 0.0
+    likelier = log_likelihood_ratio(other, found) > 0.0
     if not likelier or log_odds_between(pool, other, found, power_known=True) <= 0.0:
         return found, list(effects), list(tentative)
     there = {cause.name for cause in found.causes}

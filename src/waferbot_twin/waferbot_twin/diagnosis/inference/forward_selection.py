@@ -351,14 +351,19 @@ def _change(base: Hypothesis, member: Member) -> list[Array]:
 
 
 def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
-    """Return the most probable member if the power of the noise along each were known; None for none."""
+    """
+    Return the most probable member if the power of the noise along each were known; None for none.
+
+    Dampings, which nobody knows, are not hidden by what else lacks: they come with what gives.
+    """
 
     def log_odds(member: Member) -> float:
         more = gain(member.found, base, power_known=True) - gain(member.found, base)
         return member.log_odds + more
 
-    best = max(effect.members, key=log_odds)
-    return best if log_odds(best) > 0.0 else None
+    members = [one for one in effect.members if not is_damping(one.cause)]
+    best = max(members, key=log_odds, default=None)
+    return best if best is not None and log_odds(best) > 0.0 else None
 
 
 def some_of_each(
