@@ -16,16 +16,19 @@ from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import config_folder, load_machine
 
 
+ROPE = {
+    'rope': {
+        'driving': 'first',
+        'driven': 'second',
+        'stages': [{'kind': 'cable', 'connection': 'rope'}],
+    }
+}
+
+
 def broken(change) -> UserError:
     """Apply `change` to a sound description and return the error."""
     data = machines.two_slides(
-        transmissions={
-            'rope': {
-                'driving': 'first',
-                'driven': 'second',
-                'stages': [{'kind': 'cable', 'connection': 'rope'}],
-            }
-        },
+        transmissions=copy.deepcopy(ROPE),
         connections={'rope': {'state': 'flexible', 'stiffness_n_m': 4000.0, 'loss_factor': 0.01}},
         encoders={'y_linear': {'coordinate': 'first', 'counts_per_m': 1000}},
         motors={
@@ -312,13 +315,7 @@ def test_provenance_is_kept() -> None:
 def test_a_connection_has_so_many_times_its_damping(said, kind, value) -> None:
     def damping_of(**more: float) -> float:
         data = machines.two_slides(
-            transmissions={
-                'rope': {
-                    'driving': 'first',
-                    'driven': 'second',
-                    'stages': [{'kind': 'cable', 'connection': 'rope'}],
-                }
-            },
+            transmissions=ROPE,
             connections={'rope': {'state': 'flexible', **said, **more}},
         )
         rope = load_description(machines.write(data)).connections['rope']
