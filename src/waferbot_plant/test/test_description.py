@@ -15,7 +15,6 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import config_folder, load_machine
 
-
 ROPE = {
     'rope': {
         'driving': 'first',
