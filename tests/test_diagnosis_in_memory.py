@@ -23,7 +23,7 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find
 from waferbot_twin.residuals.problem import Cause, apply_all
 
-pytestmark = [pytest.mark.slow, pytest.mark.long(180)]
+pytestmark = [pytest.mark.slow, pytest.mark.long(180), pytest.mark.timeout(3600)]
 
 SEED = 20261214
 

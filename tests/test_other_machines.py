@@ -18,7 +18,7 @@ BANDWIDTHS = {
 }
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 
-pytestmark = [pytest.mark.slow, pytest.mark.long(300)]
+pytestmark = [pytest.mark.slow, pytest.mark.long(300), pytest.mark.timeout(3600)]
 
 
 # One as long as the stage's steps: up at full speed, a rest, and down again.

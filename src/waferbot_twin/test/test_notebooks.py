@@ -16,7 +16,7 @@ LEAVES = {
 }
 """By name: what is there after it."""
 
-pytestmark = [pytest.mark.slow, pytest.mark.long(200), pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.slow, pytest.mark.long(200), pytest.mark.timeout(3600)]
 
 
 def test_all_of_them_are_run_here():
