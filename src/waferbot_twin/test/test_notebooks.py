@@ -32,5 +32,5 @@ def test_the_notebook_runs(name, tmp_path):
     assert not any(cell.outputs for cell in cells), 'outputs are not kept in the repository'
     assert any(line.startswith('assert ') for cell in cells for line in cell.source.split('\n'))
     place = {'metadata': {'path': str(tmp_path)}}
-    nbclient.NotebookClient(notebook, timeout=800, resources=place).execute()
+    nbclient.NotebookClient(notebook, timeout=3000, resources=place).execute()
     assert all((tmp_path / file).exists() for file in LEAVES[name])
