@@ -184,18 +184,13 @@ def _of_connections(variant: Variant, settings: Settings) -> list[Number]:
     found = []
     for part, (name, *others) in _connections_of_parts(variant).items():
         connection = variant.description.connections[name]
-        viscous = connection.loss_factor is None
-        value = float((connection.damping if viscous else connection.loss_factor) or 0.0)
-        if value <= 0.0:
+        if (connection.damping or connection.loss_factor or 0.0) <= 0.0:
             continue
-        words = f'{"damping" if viscous else "loss factor"} of {part.replace("_", " ")}'
-        unit = ('Nm s/rad' if connection.rotary else 'N s/m') if viscous else ''
-        found.append(
-            Number(
-                'connections', name, DAMPING, settings.spread_of_dampings, words, unit, value,
-                tuple(others),
-            )
-        )  # fmt: skip
+        # As the description has it: what a library keeps of it can be written there.
+        value = float(variant.machine['connections'][name].get(DAMPING, 1.0))
+        words = f'damping factor of {part.replace("_", " ")}'
+        spread = settings.spread_of_dampings
+        found.append(Number('connections', name, DAMPING, spread, words, '', value, tuple(others)))
     return found
 
 
