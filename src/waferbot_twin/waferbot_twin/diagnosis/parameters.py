@@ -23,7 +23,6 @@ from waferbot_twin.diagnosis.findings import (
 from waferbot_twin.diagnosis.wording import (
     UserUnit,
     interval_text,
-    metres_per_count,
     user_unit,
     way_text,
 )
@@ -61,9 +60,6 @@ def _rows(nominal: Variant, found: FoundCause) -> Iterator[ParameterText]:
             yield _amplitude_row(nominal, found, item, sine)
             continue
         value, ends = value_of(found, item), within_bounds(found, item)
-        if item.name == 'period':
-            yield _period_row(nominal, found, item)
-            continue
         shown = user_unit(nominal, found.cause.axis, item, value)
         yield ParameterText(
             _label(item), _meaning(item), shown.text(value, 4),
@@ -102,19 +98,6 @@ def _way(nominal: Variant, found: FoundCause) -> float:
     """Return after what way (m, rad of the axis) a cause repeats, 0 if it does not."""
     cause = found.cause
     return float(cause.effect.repeats_after(nominal, cause.axis, cause.values))
-
-
-def _period_row(nominal: Variant, found: FoundCause, item: Parameter) -> ParameterText:
-    """Return a period along the way, in mm or turns."""
-    metres, unit = 1.0, item.unit
-    if unit == 'counts':
-        metres, unit = metres_per_count(nominal, found.cause.axis)
-    ends = [metres * end for end in within_bounds(found, item) or ()]
-    interval = ' to '.join(way_text(end, unit) for end in ends)
-    return ParameterText(
-        'period', _meaning(item), way_text(metres * value_of(found, item), unit),
-        interval or interval_text(found, item, UserUnit(1.0, ''), None), remark_of(found, item),
-    )  # fmt: skip
 
 
 def _repeats(nominal: Variant, found: FoundCause) -> Iterator[ParameterText]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from waferbot_twin.effects import sensors
+from waferbot_twin.effects import places, sensors
 from waferbot_twin.effects.effect import Block, Effect, Parameter, Values
 from waferbot_twin.effects.variant import Overlay, Variant
 
@@ -66,6 +66,10 @@ def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
     return tuple({'period': period} for period in _periods(variant, axis))
 
 
+def _repeats_after(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+    return values['period'] / abs(places.axis_counts(variant, axis))
+
+
 EFFECT = Effect(
     'interpolation_error',
     Block.SENSOR,
@@ -74,6 +78,7 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     _trials,
+    repeats_after=_repeats_after,
     cycle='period',
     equation='n_shown = n + cosine cos kn + sine sin kn, k = 2 pi / period',
     title='encoder interpolation error',

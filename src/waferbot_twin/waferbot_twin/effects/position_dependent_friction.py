@@ -59,6 +59,10 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
     )
 
 
+def _repeats_after(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
+    return values['period']
+
+
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
     """Return both periods, each with the highest friction at a beginning, a quarter, a half ..."""
     quarters = ((0.5, 0.0), (0.0, 0.5), (-0.5, 0.0), (0.0, -0.5))
@@ -77,6 +81,7 @@ EFFECT = Effect(
     _overlay,
     _trials,
     equation='F = mean (1 + cosine cos kx + sine sin kx) sign(v), k = 2 pi / period',
+    repeats_after=_repeats_after,
     tried_at=frictions.STICKS,
     title='Coulomb friction that changes along the way',
 )

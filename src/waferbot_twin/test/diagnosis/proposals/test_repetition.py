@@ -12,7 +12,7 @@ from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.diagnosis.proposals.repetition import can_repeat, repeats_in
 from waferbot_twin.diagnosis.proposals.screening import candidates
-from waferbot_twin.effects import find
+from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -51,6 +51,7 @@ def problem_of(nominal, *travels):
         ('cogging', 'y_linear', 0.032 / 6.0, {'order': 6.0}),  # 32 mm from magnet pair to pair
         ('cogging', 'x_rotate', 2.0 * math.pi / 22.0, {'order': 2.0}),  # 11 pairs of poles
         ('torque_ripple', 'y_rotate', 2.0 * math.pi / 4.0 / 6.0 / GEAR, {}),  # 4 pairs
+        ('position_dependent_friction', 'y_linear', 0.06, {'period': 0.06}),
     ],
 )
 def test_effects_say_after_which_way_they_repeat(nominal, name, axis, period, values):
@@ -59,9 +60,17 @@ def test_effects_say_after_which_way_they_repeat(nominal, name, axis, period, va
     assert found == pytest.approx(period)
 
 
+def test_each_effect_with_a_period_says_so(nominal):
+    for effect in library().values():
+        for axis in effect.axes(nominal):
+            names = {item.name for item in effect.parameters(nominal, axis)}
+            if names & {'period', 'order'}:
+                assert effect.repeats_after(nominal, axis, effect.typical(nominal, axis)) > 0.0
+
+
 def test_what_does_not_repeat_is_possible_where_an_axis_stands(nominal):
     standing = problem_of(nominal, {'y_linear': 0.0})
-    for name in ('viscous_friction', 'encoder_scale', 'position_dependent_friction'):
+    for name in ('viscous_friction', 'encoder_scale'):
         effect = find(name)
         cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
         assert can_repeat(standing, cause)
@@ -96,6 +105,7 @@ def test_no_cause_that_repeats_is_tried_where_an_axis_stands(nominal):
         ('encoder_eccentricity', {'period': 0.5}, (), 0.5),
         ('encoder_eccentricity', {'period': 0.5}, ('period',), 0.0),
         ('cogging', {'order': 2.0}, (), 2.0 * math.pi / 22.0),
+        ('position_dependent_friction', {'period': 0.5}, (), 0.5),
         ('coulomb_friction', {}, (), 0.0),
     ],
 )
