@@ -1205,7 +1205,9 @@ def other_score(expected, *causes, **more):
 MASS = Answers((Answer('wrong_inertia', {'inertia': 0.2}),), frozenset({'force_constant'}))
 DRAG = Answers((Answer('viscous_friction', {'damping': 1.0}),))
 NOTED = Answers((*MASS.right, Answer('bodies.load.inertia_kg_m2', {'value': 2.2})), MASS.related)
-LATE = Answers((Answer('encoder_delay', {'delay': 3.0}), Answer(TIME, {'late_s': -1e-3})))
+LATE = Answers(
+    (Answer('encoder_delay', {'delay': 3.0}, {'delay': 3.4}), Answer(TIME, {'late_s': -1e-3}))
+)
 
 
 def test_machines_of_another_simulator_are_scored_by_name_set_and_correction():
@@ -1229,6 +1231,10 @@ def test_machines_of_another_simulator_are_scored_by_name_set_and_correction():
     noted = other_score({'encoder_delay': LATE}, late_s=late_s, verdict='consistent')
     assert noted['became'] == {'encoder_delay': 'noted'}
     assert noted['other_errors'][0]['covered']
+    delay = ('encoder_delay', (), {'delay': (3.4, 3.3, 3.5)})
+    for told, covered in (({}, False), ({'late_s': [(4e-4, 3e-4, 5e-4)]}, True)):
+        (error,) = other_score({'encoder_delay': LATE}, delay, **told)['other_errors']
+        assert error['covered'] == covered
     open_yet = [(-1e-4, -3e-4, 1e-4)]
     assert other_score({'encoder_delay': LATE}, late_s=open_yet)['outcome'] == 'none'
     assert other_score({}, ('skew', (), {}))['outcome'] == 'false alarm'

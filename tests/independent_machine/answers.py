@@ -22,7 +22,8 @@ cannot be told from it in some motions: naming one is neither right nor a false 
     eccentricity (cosine, sine, period): encoder_eccentricity
     motor_eccentricity (cosine, sine, period): motor_encoder_eccentricity; transmission_error
     encoder_delay (delay_s): encoder_delay, a correction of the drive's time in the log, both by as much
-        as the position is later than the drive there (`Setup.drive_late_s`); motor_encoder_delay
+        as the position is later than the drive there (`Setup.drive_late_s`); encoder_delay by all of
+        it beside such a correction; motor_encoder_delay
     drive_delay (delay_s): the same, and command_delay; motor_encoder_delay
     backlash (gap, rad at the output): backlash; gearbox_compliance, that of the flanks
     compliance (rad/Nm at the output): gearbox_compliance
@@ -51,10 +52,15 @@ TIME = 'time of the drive'
 
 @dataclass(frozen=True)
 class Answer:
-    """A name of the library with the values expected, by parameter; those that are left out are free."""
+    """
+    A name of the library with the values expected, by parameter; those that are left out are free.
+
+    Where the drive's time is told too, those of `beside_time` are other ones.
+    """
 
     effect: str
     values: Mapping[str, float] = field(default_factory=dict)
+    beside_time: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -112,7 +118,9 @@ def answers(
     if kind in ('encoder_delay', 'drive_delay'):
         late_s = values['delay_s'] - drive_late_s
         right = (
-            Answer('encoder_delay', {'delay': 1e3 * late_s}),  # in ms
+            Answer(
+                'encoder_delay', {'delay': 1e3 * late_s}, {'delay': 1e3 * values['delay_s']}
+            ),  # ms
             Answer(TIME, {'late_s': -late_s}),
         )
         if kind == 'drive_delay':

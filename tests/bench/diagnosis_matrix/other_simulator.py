@@ -118,9 +118,10 @@ def score(expected: Mapping[str, Answers], findings: Findings) -> dict[str, Any]
         any(cause.name in expected[kind].names for cause in findings.causes)
         for kind in SCALES & expected.keys()
     )
+    time_told = any(cause.name == TIME for cause in findings.causes)
     for kind, answer in expected.items():
         became[kind], cause = _found(answer, findings.causes)
-        own = [] if cause is None else _errors(answer, cause)
+        own = [] if cause is None else _errors(answer, cause, time_told)
         if scale_named:
             errors += [{'kind': kind, **error} for error in own]
         if kind in SCALES and became[kind] == 'noted' and not own[0]['covered']:
@@ -156,11 +157,17 @@ def _found(answer: Answers, causes: Sequence[Named]) -> tuple[str, Named | None]
     return 'missed', None
 
 
-def _errors(answer: Answers, cause: Named) -> list[dict[str, Any]]:
-    """Return the parameters of a cause that was named right: expected, found, whether covered."""
-    expected = next(item.values for item in answer.right if item.effect == cause.name)
+def _errors(answer: Answers, cause: Named, time_told: bool) -> list[dict[str, Any]]:
+    """
+    Return the parameters of a cause that was named right: expected, found, whether covered.
+
+    `time_told` says whether the report tells the drive's time as well.
+    """
+    expected = next(item for item in answer.right if item.effect == cause.name)
     found = []
-    for name, truth in expected.items():
+    for name, truth in (
+        {**expected.values, **(expected.beside_time if time_told else {})}
+    ).items():
         if name not in cause.parameters:
             continue
         value, low, high = cause.parameters[name]
