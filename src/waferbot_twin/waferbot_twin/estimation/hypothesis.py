@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
@@ -172,19 +171,19 @@ def parameters_of(problem: Problem, cause: Cause) -> tuple[Parameter, ...]:
     )
 
 
-def between_bounds(problem: Problem, causes: Iterable[Cause]) -> NDArray[np.bool_]:
+def away_from_bounds(problem: Problem, causes: Iterable[Cause]) -> Array:
     """
-    Return which parameters (k,) of fitted causes can still move, in the order of the causes.
+    Return which way each parameter (k,) of fitted causes can move, in the order of the causes.
 
-    One that a fit has brought to a bound cannot give way to what comes beside it, to first order.
+    1 from its lowest value upwards, -1 from its highest downwards, 0 either way.
     """
     return np.array(
         [
-            item.low < cause.values[item.name] < item.high
+            float(cause.values[item.name] <= item.low)
+            - float(cause.values[item.name] >= item.high)
             for cause in causes
             for item in parameters_of(problem, cause)
-        ],
-        np.bool_,
+        ]
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from waferbot_twin.diagnosis.proposals.screening import Change, alike
+from waferbot_twin.diagnosis.proposals.screening import Beside, Change, alike
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.noise_model.prediction_error import Noise, likelihood
 
@@ -42,7 +42,7 @@ def test_what_gains_most_of_it_and_only_without_it_may_be_in_its_place():
     }
     changes = [(name, Change(signature)) for name, signature in rivals.items()]
     causes = [{PLANT: one[:, None]} for one in (whole, 3.0 * lacking, 0.0 * own)]
-    assert alike(base, causes, changes, {PLANT: known[:, None]}) == [
+    assert alike(base, causes, changes, Beside({PLANT: known[:, None]}, {})) == [
         ['most of it', 'by two parameters', 'with what is known', 'better than it'],
         ['another that lacks'],
         [],

@@ -35,6 +35,7 @@ from waferbot_twin.diagnosis.proposals.encoder_orders import at_periods
 from waferbot_twin.diagnosis.proposals.periodogram import at_tones
 from waferbot_twin.diagnosis.proposals.rings import Rings
 from waferbot_twin.diagnosis.proposals.screening import (
+    Beside,
     Change,
     Progress,
     Screened,
@@ -44,7 +45,6 @@ from waferbot_twin.diagnosis.proposals.screening import (
     indistinct_axes,
     screen,
     signatures,
-    signatures_beside,
     similar,
     that_touch,
     values_of,
@@ -389,7 +389,7 @@ class CandidatePool:
         """Return which rivals are `screening.alike` to the last cause of each `found`, beside `base`."""
         own = [self._change_of_last(base, one) for one in found]
         known = [(one, did) for one, did in zip(rivals, changes, strict=True) if did is not None]
-        return alike(base, own, known, signatures_beside(self.problem, base, of_others))
+        return alike(base, own, known, Beside.of(self.problem, base, of_others))
 
     def _same_beside(self, base: Hypothesis, cause: Cause) -> list[Cause]:
         """Return what does the same as a cause in the nominal model, and not beside those of `base`."""

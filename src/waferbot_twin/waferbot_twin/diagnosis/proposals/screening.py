@@ -24,6 +24,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from joblib import Parallel, delayed
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.repetition import can_repeat
@@ -33,7 +35,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
-    between_bounds,
+    away_from_bounds,
     changed_by,
     evaluate,
     in_quick_steps,
@@ -316,19 +318,29 @@ def screen(
     return sorted(found, key=lambda item: (-item.likelihood, item.cause.name))
 
 
-def signatures_beside(
-    problem: Problem, base: Hypothesis, of_base: Sequence[Signature]
-) -> Signature:
+@dataclass(frozen=True)
+class Beside:
     """
-    Return what the known causes of `base` can still change beside a candidate, side by side.
+    What the known causes of a model can still change beside a candidate, side by side.
 
-    What is as far off as its cause allows takes none of a candidate's work: a force constant that is
-    further off than the dense effect has it is found beside the dense effect.
+    The signatures of parameters that are `free` either way, and of those at a bound (`held`), turned so
+    that a positive value leads away from it.
     """
-    counts = [len(parameters_of(problem, cause)) for cause in base.causes]
-    free = between_bounds(problem, base.causes)
-    together = side_by_side(of_base, counts)
-    return {block: matrix[:, free] for block, matrix in together.items()}
+
+    free: Signature
+    held: Signature
+
+    @classmethod
+    def of(cls, problem: Problem, base: Hypothesis, of_base: Sequence[Signature]) -> Beside:
+        """Take what the causes of `base` change."""
+        counts = [len(parameters_of(problem, cause)) for cause in base.causes]
+        way = away_from_bounds(problem, base.causes)
+        at_bound = way != 0.0
+        together = side_by_side(of_base, counts)
+        return cls(
+            {block: matrix[:, ~at_bound] for block, matrix in together.items()},
+            {block: matrix[:, at_bound] * way[at_bound] for block, matrix in together.items()},
+        )
 
 
 def _screen(
@@ -338,14 +350,16 @@ def _screen(
     of_base: Sequence[Signature],
     scales: Sequence[float],
 ) -> list[Screened]:
-    together = signatures_beside(problem, base, of_base)
+    together = Beside.of(problem, base, of_base)
     known: dict[tuple[str, ...], _Known] = {}
     found = []
     for rival, change in asked:
         shown = {block: matrix for block, matrix in change.signature.items() if matrix.any()}
         if not shown:
             continue
-        blocks = tuple(dict.fromkeys([*shown, *(name for name in (PRIOR,) if name in together)]))
+        blocks = tuple(
+            dict.fromkeys([*shown, *(name for name in (PRIOR,) if name in together.free)])
+        )
         if change.begun is not None:
             beside = _Known.of(change.begun, together, blocks)
         elif blocks in known:
@@ -376,7 +390,7 @@ def alike(
     base: Hypothesis,
     own: Sequence[Signature],
     rivals: Sequence[tuple[Cause, Change]],
-    beside: Signature,
+    beside: Beside,
 ) -> list[list[Cause]]:
     """
     Return which of the rivals can stand for each of some causes that change `own`, as a whole.
@@ -390,7 +404,7 @@ def alike(
     What gains as much beside the cause is another one that lacks, and no rival. All causes change the
     same blocks.
     """
-    blocks = tuple(dict.fromkeys([*own[0], *(name for name in (PRIOR,) if name in beside)]))
+    blocks = tuple(dict.fromkeys([*own[0], *(name for name in (PRIOR,) if name in beside.free)]))
     known = _Known.of(base, beside, blocks)
     taken = [np.vstack(_in_places(known.places, known.before, _white(base, one))) for one in own]
     left = known.left[:, None]
@@ -463,7 +477,8 @@ class _Known:
 
     `places` are block and number of each channel, `before` its residual as it is, `left` that of all
     channels behind one another without what the known causes could explain: without its projection
-    on their orthonormal `columns` (N, k).
+    on their orthonormal `columns` (N, k). `held` (N, h) is what those at a bound could change beside
+    these, each away from it only.
     """
 
     places: list[tuple[str, int]]
@@ -471,22 +486,78 @@ class _Known:
     before: list[Array]
     left: Array
     columns: Array
+    held: Array
 
     @classmethod
-    def of(cls, about: Hypothesis, beside: Signature, blocks: tuple[str, ...]) -> _Known:
+    def of(cls, about: Hypothesis, beside: Beside, blocks: tuple[str, ...]) -> _Known:
         """Take what a hypothesis leaves over, and what its causes change (`beside`)."""
         fits = [about.fits[block] for block in blocks]
         before = [white for fit in fits for white in fit.whitened]
         places = [(b, n) for b in blocks for n in range(len(about.fits[b].whitened))]
-        others = _white(about, {block: beside[block] for block in blocks if block in beside})
-        system = np.vstack(_in_places(places, before, others))
-        columns = system @ spanning(system.T @ system)
-        left = _without(np.concatenate(before), columns)
-        return cls(places, [one for fit in fits for one in fit.colours], before, left, columns)
+
+        def rows(signature: Signature) -> Array:
+            own = {block: signature[block] for block in blocks if block in signature}
+            return np.vstack(_in_places(places, before, _white(about, own)))
+
+        def spanned(system: Array) -> Array:
+            return np.asarray(system @ spanning(system.T @ system))
+
+        columns, held = spanned(rows(beside.free)), rows(beside.held)
+        residual = np.concatenate(before)
+        moves = _away(_without(residual, columns), _without(held, columns))
+        if moves.any():  # it was fitted roughly, and they are not at their bounds by right
+            columns = spanned(np.hstack([columns, held[:, moves]]))
+        colours = [one for fit in fits for one in fit.colours]
+        return cls(
+            places,
+            colours,
+            before,
+            _without(residual, columns),
+            columns,
+            _without(held[:, ~moves], columns),
+        )
+
+    def giving_way(self, alone: Array) -> Array:
+        """
+        Return an orthonormal basis (N, j) of what is held, and moves away from its bound beside `alone`.
+
+        `alone` (N, m) is what a candidate changes that the known causes could not.
+        """
+        if not self.held.shape[1]:
+            return self.held
+        moving = self.held[:, _away(self.left, self.held, alone)]
+        return np.asarray(moving @ spanning(moving.T @ moving))
 
     def split(self, rows: Array) -> list[Array]:
         """Return rows (N,) or (N, k) channel by channel."""
         return np.split(rows, np.cumsum([len(one) for one in self.before])[:-1])
+
+
+def _away(left: Array, held: Array, alone: Array | None = None) -> NDArray[np.bool_]:
+    """
+    Return which columns of `held` (N, h) are more than zero in the fit to `left` (N,) by least squares.
+
+    Of those with no value below zero, and of `alone` with any:
+
+        min over x >= 0, w of |left + held x + alone w|^2.
+    """
+    count = held.shape[1]
+    if not count:
+        return np.zeros(0, np.bool_)
+    system = held if alone is None else np.hstack([held, alone])
+    scale = np.linalg.norm(system, axis=0)
+    scale[scale == 0.0] = 1.0
+    system = system / scale
+    squares, turned = np.linalg.eigh(system.T @ system)
+    root = np.sqrt(np.maximum(squares, 1e-10 * squares[-1]))
+    low = np.where(np.arange(system.shape[1]) < count, 0.0, -np.inf)
+    found = lsq_linear(
+        root[:, None] * turned.T,
+        -(turned.T @ (system.T @ left)) / root,
+        (low, np.inf),
+        method='bvls',
+    )
+    return np.asarray(found.x[:count] > 0.0)
 
 
 def _in_places(
@@ -562,12 +633,15 @@ class _Linear:
         """
         rows = np.vstack(_in_places(known.places, known.before, own))
         alone = _without(rows, known.columns)
+        # What a candidate takes over lets parameters go back from the bounds that they have gone to.
+        away = known.giving_way(alone)
+        alone, left = _without(alone, away), _without(known.left, away)
         scale = np.linalg.norm(alone, axis=0)
         scale[scale == 0.0] = 1.0
         products = (alone / scale).T @ (alone / scale)
         inverse = np.linalg.pinv(products, rcond=1e-10, hermitian=True)
-        value = -inverse @ ((alone / scale).T @ known.left) / scale
-        after = known.left + alone @ value
+        value = -inverse @ ((alone / scale).T @ left) / scale
+        after = left + alone @ value
         # Not what known causes could explain on their own, far from their best values.
         change = known.split(known.left - after)
         power = power_along(known.split(after), change, known.colours)
