@@ -9,7 +9,7 @@ import pytest
 
 from waferbot_twin.diagnosis.inference import forward_selection
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
+from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
 
 
 def hypothesis(*names):
@@ -144,3 +144,69 @@ def test_with_the_most_probable_come_those_that_are_plain_beside_it(
     chosen = forward_selection._apart(pool, SimpleNamespace(causes=()), members)
     assert [one.best.cause.name for one in chosen] == taken
     assert asked == ([['a:y', 'd:y']] if rivals.get('a:y') == ['d:y'] else [])
+
+
+@pytest.mark.parametrize(
+    ('odds', 'come', 'tentative'),
+    [
+        ([(9.0, 0.0)], 0, []),
+        ([(9.0, 0.0), (9.0, 0.0)], 1, ['usual']),
+        ([(9.0, 0.0), (1.0, 0.0)], 0, []),  # included, and not sure enough to be named
+        ([(9.0, 0.0), (1.0, 0.0), (9.0, 0.0)], 1, ['usual']),
+        ([(9.0, 0.0), (-9.0, 9.0)], 1, ['1', 'usual']),  # were the power of noise known
+        ([(9.0, 0.0), (-9.0, 1.0)], 0, ['1']),
+    ],
+)
+def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
+    monkeypatch, odds, come, tentative
+):
+    """And with it, and in the end, other models as a whole; beside one cause nothing of this."""
+
+    def of(*names):
+        causes = tuple(
+            SimpleNamespace(name=name, effect=SimpleNamespace(name=name)) for name in names
+        )
+        return SimpleNamespace(causes=causes)
+
+    def effect(found, log_odds):
+        return with_odds(SingleEffect((Member(found, log_odds, 0.0, 1.0),), 0.0), log_odds)
+
+    def ask(pool, found):
+        names = [cause.name for cause in found.causes if cause.name != 'usual']
+        if len(names) == len(odds):
+            return None
+        return effect(of(*names, str(len(names))), odds[len(names)][0])
+
+    def whole(pool, found, effects, open_ones):
+        weighed.append([cause.name for cause in found.causes])
+        return found, effects, open_ones
+
+    weighed: list[list[str]] = []
+    for name, value in {
+        'ask': ask,
+        '_ahead': lambda problem, found, one: (
+            one.best, odds[int(one.best.cause.name)][1]
+        ),
+        '_apart': lambda pool, found, members: [],
+        'fitted_together': lambda pool, found, causes, beside: SimpleNamespace(causes=causes),
+        'as_fitted': lambda pool, found, cause: effect(of(cause.name), 0.0),
+        '_with_their_orders': lambda pool, found: found,
+        '_begun_elsewhere': lambda pool, found: found,
+        'some_of_each': lambda problem, *found: found,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(forward_selection, name, value)
+    pool = SimpleNamespace(
+        problem=None,
+        settings=Settings(),
+        usual=lambda: of('usual').causes,
+        note_noise_of=lambda found: None,
+    )
+    found, effects, open_ones, wanted, asked = forward_selection.ask_on(
+        pool, of(), [], 24, False, whole
+    )
+    assert [one.best.cause.name for one in open_ones] == tentative
+    assert len(effects) + len([name for name in tentative if name != 'usual']) == len(odds)
+    assert asked == len(odds) + 1
+    assert len(weighed) == 2 * come
+    assert wanted == {str(place) for place in range(len(odds))}
+    assert ('usual' in {cause.name for cause in found.causes}) == bool(come)

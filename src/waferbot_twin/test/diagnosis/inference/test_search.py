@@ -93,15 +93,17 @@ def test_what_gives_is_judged_with_what_came_along(monkeypatch):
         assert (found, tentative) == (flexible, [along, soft])
         return loaded, effects, [soft, load]
 
+    def ask_on(pool, found, effects, most, usual, as_a_whole):
+        asked = as_a_whole(pool, hypothesis('friction', 'inertia'), [effect], [along])
+        return *asked, {'friction'}, 2
+
     def evident(pool, found, effects, tentative):
         judged.append((found, effects, tentative))
         return hypothesis('friction', 'cable'), [effect, soft]
 
     for name, value in {
         'evaluate': lambda problem: hypothesis(),
-        'ask_on': lambda pool, found, effects, most, usual, as_a_whole: (
-            hypothesis('friction', 'inertia'), [effect], [along], {'friction'}, 2
-        ),
+        'ask_on': ask_on,
         'or_flexible': lambda pool, found, effects, tentative: (
             flexible, effects, [*tentative, soft]
         ),

@@ -9,6 +9,7 @@ position of an axis without a name (`discrepancy`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -83,16 +84,17 @@ def ask_on(
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
     along it were known is in the model for the time being, too. And whichever came first would take what
-    many others leave over. So where something is found a second time, what everybody fits first comes
-    along: masses and force constants, Coulomb and viscous friction and a constant force of every axis
-    (`CandidatePool.usual`). The damping of what gives, which nobody knows, is no such find. What came so
-    is tentative: each stays if it is evident beside all that was found by then. A force without a name
-    is asked for again beside them, and not there before: it would do what several of them do together.
-    `usual` says that they have been there. Where it is ahead again, other causes may still do together
-    what it does (`_by_names`).
+    many others leave over. So where a second cause is sure enough to be named, what everybody fits first
+    comes along: masses and force constants, Coulomb and viscous friction and a constant force of every
+    axis (`CandidatePool.usual`). The damping of what gives, which nobody knows, is no such cause. What
+    came so is tentative: each stays if it is evident beside all that was found by then. A force without
+    a name is asked for again beside them, and not there before: it would do what several of them do
+    together. `usual` says that they have been there. Where it is ahead again, other causes may still do
+    together what it does (`_by_names`).
 
-    When they have come, what only many causes together explain is weighed `as_a_whole`: what is asked
-    for beside a rigid machine with the wrong load would stand in for what rings and weighs.
+    When they have come, and in the end, what only many causes together explain is weighed `as_a_whole`:
+    what is asked for beside a rigid machine with the wrong load would stand in for what rings and is
+    heavy.
     """
     asked, finds, along = 0, 0, set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
@@ -109,9 +111,11 @@ def ask_on(
                 effects += named
                 found, effects, tentative = some_of_each(pool.problem, instead, effects, tentative)
                 continue
-        best = effect.best if included else _ahead(pool.problem, found, effect)
-        if best is None:
-            break
+        best, odds = effect.best, effect.log_odds
+        if not included:
+            best, odds = _ahead(pool.problem, found, effect)
+            if odds <= 0.0:
+                break
         causes = found.causes
         without_name = is_discrepancy(best.cause) and not usual
         if not without_name:
@@ -124,7 +128,7 @@ def ask_on(
                 causes = (*causes, own.best.cause)
         first: list[Cause] = []
         come = not usual
-        finds += not is_damping(best.cause)
+        finds += odds > log_odds_at(pool.settings.named_from) and not is_damping(best.cause)
         if not usual and (finds > 1 or without_name):
             usual = True
             there = {cause.name for cause in causes}
@@ -145,6 +149,8 @@ def ask_on(
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
+    if usual:
+        found, effects, tentative = as_a_whole(pool, found, effects, tentative)
     return found, effects, tentative, wanted, asked
 
 
@@ -350,20 +356,21 @@ def _change(base: Hypothesis, member: Member) -> list[Array]:
     ]
 
 
-def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> Member | None:
+def _ahead(problem: Problem, base: Hypothesis, effect: SingleEffect) -> tuple[Member, float]:
     """
-    Return the most probable member if the power of the noise along each were known; None for none.
+    Return the most probable member if the power of the noise along each were known, and ln of its odds.
 
     Dampings, which nobody knows, are not hidden by what else lacks: they come with what gives.
     """
 
     def log_odds(member: Member) -> float:
+        if is_damping(member.cause):
+            return -math.inf
         more = gain(member.found, base, power_known=True) - gain(member.found, base)
         return member.log_odds + more
 
-    members = [one for one in effect.members if not is_damping(one.cause)]
-    best = max(members, key=log_odds, default=None)
-    return best if best is not None and log_odds(best) > 0.0 else None
+    best = max(effect.members, key=log_odds)
+    return best, log_odds(best)
 
 
 def some_of_each(

@@ -2,15 +2,14 @@
 """
 The search for effects: one after the other, then all again.
 
-Effects are added as long as one is more probable than not (`forward_selection`). When what every
-machine has some of is there, and in the end, all that is held rigid may give as well (`flexible_model`)
-and what an axis carries be another load (`load_model`). What is not evident goes (`elimination`). Then
-each is asked for anew beside all others, as often as one changes (`revision`). Where one of those that
-were asked for has gone, what it stood for may still lack: more are added, and so on (stepwise
-selection). The posterior of each is that of `single_effects`, from fits through the simulation for every
-candidate that the linear problem puts within reach (`refit`). Models that other choices lead to are
-weighed against the one that was found (`rival_models`). Last, what the closed loop has made of noise is
-taken out (`feigned`).
+Effects are added as long as one is more probable than not (`forward_selection`). Where much lacks, all
+that is held rigid may give as well (`flexible_model`) and what an axis carries be another load
+(`load_model`). What is not evident goes (`elimination`). Then each is asked for anew beside all others,
+as often as one changes (`revision`). Where one of those that were asked for has gone, what it stood for
+may still lack: more are added, and so on (stepwise selection). The posterior of each is that of
+`single_effects`, from fits through the simulation for every candidate that the linear problem puts
+within reach (`refit`). Models that other choices lead to are weighed against the one that was found
+(`rival_models`). Last, what the closed loop has made of noise is taken out (`feigned`).
 """
 
 from __future__ import annotations
@@ -54,7 +53,6 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
             pool, found, effects, most, usual, beside_whole_models
         )
         most -= asked
-        found, effects, tentative = beside_whole_models(pool, found, effects, tentative)
         found, effects = evident(pool, found, effects, tentative)
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
