@@ -542,8 +542,8 @@ def _away(left: Array, held: Array, alone: Array | None = None) -> NDArray[np.bo
         min over x >= 0, w of |left + held x + alone w|^2.
     """
     count = held.shape[1]
-    if not count:
-        return np.zeros(0, np.bool_)
+    if not held.any():
+        return np.zeros(count, np.bool_)
     system = held if alone is None else np.hstack([held, alone])
     scale = np.linalg.norm(system, axis=0)
     scale[scale == 0.0] = 1.0
