@@ -549,6 +549,7 @@ def _away(left: Array, held: Array, alone: Array | None = None) -> NDArray[np.bo
     scale[scale == 0.0] = 1.0
     system = system / scale
     squares, turned = np.linalg.eigh(system.T @ system)
+    # Where two do the same to ten digits, which of them moves is left open.
     root = np.sqrt(np.maximum(squares, 1e-10 * squares[-1]))
     low = np.where(np.arange(system.shape[1]) < count, 0.0, -np.inf)
     found = lsq_linear(
