@@ -25,7 +25,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.proposals.repetition import can_repeat
@@ -33,6 +32,7 @@ from waferbot_twin.diagnosis.proposals.threshold_grid import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain, log_occam
+from waferbot_twin.estimation.gauss_newton import least_squares_within
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     away_from_bounds,
@@ -541,24 +541,17 @@ def _away(left: Array, held: Array, alone: Array | None = None) -> NDArray[np.bo
 
         min over x >= 0, w of |left + held x + alone w|^2.
     """
-    count = held.shape[1]
-    if not held.any():
-        return np.zeros(count, np.bool_)
     system = held if alone is None else np.hstack([held, alone])
-    scale = np.linalg.norm(system, axis=0)
-    scale[scale == 0.0] = 1.0
-    system = system / scale
-    squares, turned = np.linalg.eigh(system.T @ system)
-    # Where two do the same to ten digits, which of them moves is left open.
-    root = np.sqrt(np.maximum(squares, 1e-10 * squares[-1]))
-    low = np.where(np.arange(system.shape[1]) < count, 0.0, -np.inf)
-    found = lsq_linear(
-        root[:, None] * turned.T,
-        -(turned.T @ (system.T @ left)) / root,
-        (low, np.inf),
-        method='bvls',
+    products, count = system.T @ system, held.shape[1]
+    directions = spanning(products)
+    low = np.where(np.arange(len(products)) < count, 0.0, -np.inf)
+    found = least_squares_within(
+        directions.T @ products,
+        -(directions.T @ (system.T @ left)),
+        low,
+        np.full(len(products), np.inf),
     )
-    return np.asarray(found.x[:count] > 0.0)
+    return np.asarray(found[:count] > 0.0)
 
 
 def _in_places(
