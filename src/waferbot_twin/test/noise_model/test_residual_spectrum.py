@@ -55,6 +55,7 @@ DIRECTIONS = {
     'friction': np.sign(np.sin(np.linspace(0.0, 25.0, SAMPLES))),
     'speed': np.sin(np.linspace(0.0, 9.0, SAMPLES)),
     'a fast one': np.cos(np.linspace(0.0, 900.0, SAMPLES)),
+    'a short move': np.exp(-0.5 * ((np.arange(SAMPLES) - 600.0) / 100.0) ** 2),
 }
 FEWEST, MOST = binom(DRAWS, 0.95).ppf([0.001, 0.999])
 
@@ -74,7 +75,7 @@ def test_intervals_by_the_power_along_a_direction_hold_the_truth(noise, directio
         size = float(change @ white) / square
         left = white - size * change
         power = power_along([left], [change], colours)
-        assert power.freedom == pytest.approx(FEWEST_FREEDOM)
+        assert 5.0 < power.freedom <= FEWEST_FREEDOM
         error = math.sqrt(power.value / square)
         inside += abs(size) < student(power.freedom).ppf(0.975) * error
     print(f'seed {SEED}: {inside} of {DRAWS} hold the truth, {FEWEST:.0f} to {MOST:.0f} expected')

@@ -28,7 +28,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import dct
+from scipy.fft import dct, rfft
 
 from waferbot_twin.noise_model import misfit
 from waferbot_twin.noise_model.gram import spanning
@@ -47,6 +47,14 @@ BAND = 0.25
 """Half of a band, as a share of its middle frequency."""
 
 
+@functools.lru_cache(64)
+def _bands(lines: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the first and the last line of the band over which each of some lines is averaged."""
+    place = np.arange(lines)
+    reach = np.maximum(FEWEST, np.round(BAND * place)).astype(np.intp)
+    return np.maximum(place - reach, 1), np.minimum(place + reach, lines - 1)
+
+
 def spectrum(white: Array) -> Array:
     """
     Return the averaged periodogram of N samples at the N // 2 + 1 frequencies of their transform.
@@ -54,13 +62,9 @@ def spectrum(white: Array) -> Array:
     White noise of unit variance has 1 everywhere. The mean is not noise, so the line at zero has
     the average of the lines above it.
     """
-    count = len(white)
-    lines = np.abs(np.fft.rfft(white - white.mean())) ** 2 / count
+    lines = np.abs(rfft(white - white.mean())) ** 2 / len(white)
     sums = np.concatenate([[0.0], np.cumsum(lines)])
-    place = np.arange(len(lines))
-    reach = np.maximum(FEWEST, np.round(BAND * place)).astype(int)
-    first = np.maximum(place - reach, 1)
-    last = np.minimum(place + reach, len(lines) - 1)
+    first, last = _bands(len(lines))
     return np.asarray((sums[last + 1] - sums[first]) / (last - first + 1), np.float64)
 
 
@@ -113,27 +117,67 @@ def powers_along(
     left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
 ) -> list[Power]:
     """
-    Return the power of the noise in a direction d, channel by channel, white noise having 1:
+    Return the power of the noise in a direction d, channel by channel, white noise having 1.
 
-        lambda = J / |d|^2,      J = 1/K sum over k of (sum over n of q_k d e)^2.               (1)
+    `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as `colours`
+    say. The power is found in two ways, each relative to what white noise would have of it without what
+    lies along d, as all that a fit explains does. Where the axis moves, d is:
 
-    `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as
-    `colours` say; q_k are the first K cosines over the samples. J is the long-run variance of d e
-    (E. Lazarus, D. Lewis, J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018:
-    equal-weighted cosines), right whatever the colour of e, and where e is larger while the axis
-    moves. It has K degrees of freedom. Of a channel that follows to the last bit, where no noise is,
-    lambda is 1 and exact. lambda is not less than 1: of many directions that are tried a fit takes one
-    in which noise happened to be weak.
+        lambda = sum over k of (sum over n of q_k d e)^2 / tr A,                                   (1)
+        A = C - v v' / |d|^2,   C_kl = sum over n of q_k q_l d^2,   v_k = sum over n of q_k d^2,
+
+    q_k the first K cosines over the samples: the long-run variance of d e (E. Lazarus, D. Lewis,
+    J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018: equal-weighted cosines), right
+    whatever the colour of e, and where e is larger while the axis moves. It has (tr A)^2 / |A|^2 degrees
+    of freedom (Satterthwaite): K where d is all over the log, two or three where the axis moves once and
+    shortly. And in all of the log, by the averaged periodogram S of e and the transform D of d,
+
+        lambda = sum over f of S |D|^2 / sum over f of |D|^2.                                      (2)
+
+    That knows nothing of when noise is large, but slow noise, of which a short motion alone shows next
+    to nothing. Each misses what the other one sees, so it is the larger of the two, with the degrees of
+    freedom of the one that has more, K at most. Of a channel that follows to the last bit, where no
+    noise is, lambda is 1 and exact. lambda is not less than 1: of many directions that are tried a fit
+    takes one in which noise happened to be weak.
     """
     found = []
     for white, change, colour in zip(left, changes, colours, strict=True):
         square = float(change @ change)
-        if square == 0.0 or not colour.error.order:
+        if not colour.error.order or square == 0.0:
             found.append(Power(1.0, math.inf))
             continue
-        own = float(np.mean((on_cosines(change * white, colour.freedom)) ** 2))
-        found.append(Power(max(own / square, 1.0), float(colour.freedom)))
+        rest = white - float(change @ white) / square * change
+        both = _where_it_moves(rest, change, colour.freedom), _by_spectrum(rest, change)
+        known = max(one.freedom for one in both)
+        value = max(1.0, *(one.value for one in both))
+        found.append(Power(value, min(known, float(colour.freedom))))
     return found
+
+
+def _where_it_moves(left: Array, change: Array, count: int) -> Power:
+    """Return equation (1) of a channel with K = `count`."""
+    count = min(count, (len(change) - 1) // 2)
+    sums = on_cosines(change * left, count)
+    square = change**2
+    lags = np.concatenate([[square.sum()], on_cosines(square, 2 * count) / math.sqrt(2.0)])
+    places = np.arange(1, count + 1)
+    products = lags[np.abs(places[:, None] - places)] + lags[places[:, None] + places]
+    products -= np.outer(lags[places], lags[places]) * (2.0 / lags[0])
+    white = float(np.trace(products))
+    return Power(float(sums @ sums) / white, white**2 / float(np.sum(products**2)))
+
+
+def _by_spectrum(left: Array, change: Array) -> Power:
+    """Return equation (2) of a channel."""
+    lines = np.abs(rfft(change)) ** 2
+    weights = lines / lines.sum()
+    first, last = _bands(len(lines))
+    # How much each line of the periodogram counts: in every band that it is in.
+    shares, size = weights / (last - first + 1), len(lines) + 1
+    counts = np.cumsum(np.bincount(first, shares, size) - np.bincount(last + 1, shares, size))[:-1]
+    white = 1.0 - float(counts @ lines) / (len(change) * float(change @ change))
+    freedom = 2.0 * float(counts.sum()) ** 2 / float(counts @ counts)
+    return Power(float(weights @ spectrum(left)) / white, freedom)
 
 
 def log_likelihood_ratios_in(powers: Sequence[Power], squares: Sequence[float]) -> list[float]:
@@ -150,14 +194,19 @@ def log_likelihood_ratios_in(powers: Sequence[Power], squares: Sequence[float]) 
 def power_along(
     left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
 ) -> Power:
-    """
-    Return equation (1) of all channels together: lambda = sum of J_c / sum of |d_c|^2.
+    """Return the power of all channels together (`together`)."""
+    return together(powers_along(left, changes, colours), changes)
 
-    With nu = (sum J_c)^2 / sum(J_c^2 / K) degrees of freedom (Satterthwaite): of a size that is the same
-    in all channels.
+
+def together(powers: Sequence[Power], changes: Sequence[Array]) -> Power:
+    """
+    Return the power of all channels together: lambda = sum of lambda_c |d_c|^2 / sum of |d_c|^2.
+
+    With nu = (sum J_c)^2 / sum(J_c^2 / nu_c) degrees of freedom, J_c = lambda_c |d_c|^2 (Satterthwaite):
+    of a size that is the same in all channels.
     """
     total = noisy = uncertain = 0.0
-    for change, power in zip(changes, powers_along(left, changes, colours), strict=True):
+    for change, power in zip(changes, powers, strict=True):
         square = float(change @ change)
         own = power.value * square
         total += square
@@ -174,26 +223,58 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
 
     Least squares with noise that is not as assumed have the sandwich covariance
 
-        (A' A)^-1 (sum over c of J_c) (A' A)^-1,
+        (A' A)^-1 (sum over c of J_c) (A' A)^-1,                                                    (3)
 
-    J_c (k, k) the long-run covariance of the products A_c e_c as in equation (1); of an exact
-    channel A_c' A_c. What misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
-    along what A does not show (`gram.spanning`). As in equation (1) no direction has less noise than the
-    noise model says: some of k have next to none by chance, or none where k is large, and what was
-    fitted would be known there to the last digit.
+    J_c (k, k) the covariance of A_c' e_c: of an exact channel A_c' A_c, else along any direction the
+    larger one of the two that `powers_along` has, of the products A_c e_c by cosines and by the averaged
+    periodogram of e_c. What misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
+    along what A does not show (`gram.spanning`). No direction has less noise than the noise model says:
+    some of k have next to none by chance, or none where k is large, and what was fitted would be known
+    there to the last digit.
     """
     products = np.sum([part.T @ part for part in systems], axis=0)
-    noisy = np.zeros_like(products)
+    moving, slow, more = (np.zeros_like(products) for _ in range(3))
     for part, white, one in zip(systems, estimate.whitened, estimate.colours, strict=True):
         if one.error.order:
             projected = on_cosines(part * white[:, None], one.freedom)
-            noisy += projected.T @ projected / one.freedom
+            moving += projected.T @ projected / one.freedom
+            slow += _covariance_by_spectrum(part, white)
         else:
-            noisy += part.T @ part
+            more += part.T @ part
     for places, logs in misfit.of_axes([noise.state for noise in estimate.noises]):
         rows, left = ([some[place] for place in places] for some in (systems, estimate.whitened))
-        noisy += misfit.covariance_of(rows, left, logs)
+        more += misfit.covariance_of(rows, left, logs)
     basis = spanning(products)
-    powers, directions = np.linalg.eigh(basis.T @ noisy @ basis)
-    shown = products @ basis @ directions
-    return np.asarray(shown / np.maximum(powers, 1.0) @ shown.T, np.float64)
+    moving, slow, more = (basis.T @ one @ basis for one in (moving, slow, more))
+    least = np.eye(len(more))
+    noisy = _larger(_larger(moving, slow) + more, least)
+    shown = products @ basis
+    return np.asarray(shown @ np.linalg.solve(noisy, shown.T), np.float64)
+
+
+def _covariance_by_spectrum(rows: Array, left: Array) -> Array:
+    """Return the covariance (k, k) of A' e for e with the averaged periodogram of what is left over."""
+    count = len(left)
+    lines = rfft(rows, axis=0)
+    twice = np.full(len(lines), 2.0)
+    twice[0] = 1.0
+    if count % 2 == 0:
+        twice[-1] = 1.0
+    weights = twice * spectrum(left) / count
+    return np.asarray((lines.conj() * weights[:, None]).T @ lines).real
+
+
+def _larger(one: Array, other: Array) -> Array:
+    """
+    Return the covariance that is the larger of two along every direction in which they are apart.
+
+    With R R' the sum of both, the eigenvalues of R^-1 (one) R^-T are shares m, those of the other 1 - m,
+    with the same directions: each has the larger of the two.
+    """
+    total = one + other
+    size, directions = np.linalg.eigh(total)
+    root = directions * np.sqrt(np.maximum(size, 0.0))
+    back = np.linalg.pinv(root)
+    shares, common = np.linalg.eigh(back @ one @ back.T)
+    both = root @ common
+    return np.asarray((both * np.maximum(shares, 1.0 - shares)) @ both.T)

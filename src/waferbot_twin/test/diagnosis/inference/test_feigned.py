@@ -37,7 +37,7 @@ def test_the_least_evident_goes_first_and_the_others_are_judged_without_it(monke
         odds = by_command[tuple(names(effects))]
         return [with_odds(one, value) for one, value in zip(effects, odds, strict=True)]
 
-    monkeypatch.setattr(feigned, '_judged', judged)
+    monkeypatch.setattr(feigned, 'beside_noise', judged)
 
     def without(problem, found, gone, workers, known):
         assert sorted(known) == ['friction', 'lag', 'play']

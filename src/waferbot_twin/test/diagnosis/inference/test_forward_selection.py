@@ -147,18 +147,21 @@ def test_with_the_most_probable_come_those_that_are_plain_beside_it(
 
 
 @pytest.mark.parametrize(
-    ('odds', 'come', 'tentative'),
+    ('odds', 'feigned', 'come', 'tentative'),
     [
-        ([(9.0, 0.0)], 0, []),
-        ([(9.0, 0.0), (9.0, 0.0)], 1, ['usual']),
-        ([(9.0, 0.0), (1.0, 0.0)], 0, []),  # included, and not sure enough to be named
-        ([(9.0, 0.0), (1.0, 0.0), (9.0, 0.0)], 1, ['usual']),
-        ([(9.0, 0.0), (-9.0, 9.0)], 1, ['1', 'usual']),  # were the power of noise known
-        ([(9.0, 0.0), (-9.0, 1.0)], 0, ['1']),
+        ([(9.0, 0.0)], '', 0, []),
+        ([(9.0, 0.0), (9.0, 0.0)], '', 1, ['usual']),
+        ([(9.0, 0.0), (1.0, 0.0)], '', 0, []),  # included, and not sure enough to be named
+        ([(9.0, 0.0), (1.0, 0.0), (9.0, 0.0)], '', 1, ['usual']),
+        ([(9.0, 0.0), (-9.0, 9.0)], '', 1, ['1', 'usual']),  # were the power of noise known
+        ([(9.0, 0.0), (-9.0, 1.0)], '', 0, ['1']),
+        ([(9.0, 0.0), (9.0, 0.0)], '1', 0, []),  # noise would do as much
+        ([(9.0, 0.0), (9.0, 0.0)], '0', 0, []),
+        ([(9.0, 0.0), (9.0, 0.0), (9.0, 0.0)], '0', 1, ['usual']),
     ],
 )
 def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
-    monkeypatch, odds, come, tentative
+    monkeypatch, odds, feigned, come, tentative
 ):
     """And with it, and in the end, other models as a whole; beside one cause nothing of this."""
 
@@ -188,6 +191,9 @@ def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
             one.best, odds[int(one.best.cause.name)][1]
         ),
         '_apart': lambda pool, found, members: [],
+        'beside_noise': lambda pool, found, effects: [
+            with_odds(one, 1.0) if one.best.cause.name in feigned else one for one in effects
+        ],
         'fitted_together': lambda pool, found, causes, beside: SimpleNamespace(causes=causes),
         'as_fitted': lambda pool, found, cause: effect(of(cause.name), 0.0),
         '_with_their_orders': lambda pool, found: found,

@@ -78,10 +78,6 @@ def test_counts_that_are_taken_for_motion_make_no_sensor_wrong(mismatch):
         assert by_command < 3.0
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason='rounding in the noise-free log counts as noise: 63 of 147 in ln L are left',
-)
 def test_half_of_what_a_true_percent_gains_is_left_by_the_command():
     plain, by_command = gained(0.01)
     assert by_command > 0.5 * plain

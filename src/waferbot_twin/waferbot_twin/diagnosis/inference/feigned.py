@@ -48,7 +48,7 @@ def without_feigned(
     limit = log_odds_at(pool.settings.included_from)
     left, gone = list(effects), list[str]()
     while True:
-        judged = _judged(pool, found, left)
+        judged = beside_noise(pool, found, left)
         least = min(judged, key=lambda effect: effect.log_odds, default=None)
         if least is None or least.log_odds >= limit:
             return found, left if gone else judged, gone
@@ -59,7 +59,7 @@ def without_feigned(
         found = without(pool.problem, found, [name], pool.workers, known)
 
 
-def _judged(
+def beside_noise(
     pool: CandidatePool, found: Hypothesis, effects: Sequence[SingleEffect]
 ) -> list[SingleEffect]:
     """Return effects with their odds beside what noise may feign; as they are where none is known."""

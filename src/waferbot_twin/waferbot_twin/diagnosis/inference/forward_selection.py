@@ -19,6 +19,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
+from waferbot_twin.diagnosis.inference.feigned import beside_noise
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_damping
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
@@ -84,9 +85,10 @@ def ask_on(
     Where many things lack, each is hidden by what the others leave over: along most directions there is
     so much that no single cause stands out of it. So what would be more probable than none if the power
     along it were known is in the model for the time being, too. And whichever came first would take what
-    many others leave over. So where a second cause is sure enough to be named, what everybody fits first
-    comes along: masses and force constants, Coulomb and viscous friction and a constant force of every
-    axis (`CandidatePool.usual`). The damping of what gives, which nobody knows, is no such cause. What
+    many others leave over. So where a second cause is sure enough to be named, and is not feigned by
+    noise (`feigned`), what everybody fits first comes along: masses and force constants, Coulomb and
+    viscous friction and a constant force of every axis (`CandidatePool.usual`). The damping of what
+    gives, which nobody knows, is no such cause. What
     came so is tentative: each stays if it is evident beside all that was found by then. A force without
     a name is asked for again beside them, and not there before: it would do what several of them do
     together. `usual` says that they have been there. Where it is ahead again, other causes may still do
@@ -96,7 +98,7 @@ def ask_on(
     what is asked for beside a rigid machine with the wrong load would stand in for what rings and is
     heavy.
     """
-    asked, finds, along = 0, 0, set[str]()
+    asked, sure, along = 0, list[SingleEffect](), set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
         effect = ask(pool, found)
@@ -127,10 +129,12 @@ def ask_on(
                 effects.append(own)
                 causes = (*causes, own.best.cause)
         first: list[Cause] = []
-        come = not usual
-        finds += odds > log_odds_at(pool.settings.named_from) and not is_damping(best.cause)
-        if not usual and (finds > 1 or without_name):
-            usual = True
+        come = False
+        if not usual:
+            now = with_odds(SingleEffect((best,), 0.0), odds)
+            sure = _sure(pool, [*sure, now], best.found)
+            come = usual = len(sure) > 1 or without_name
+        if come:
             there = {cause.name for cause in causes}
             first = [cause for cause in pool.usual() if cause.name not in there]
         if without_name:
@@ -144,7 +148,7 @@ def ask_on(
         tentative += [as_fitted(pool, found, one) for one in first if one.name in names]
         found = _with_their_orders(pool, found)
         found, effects, tentative = some_of_each(pool.problem, found, effects, tentative)
-        if come and usual:
+        if come:
             found, effects, tentative = as_a_whole(pool, found, effects, tentative)
         pool.note_noise_of(found)
     found = _begun_elsewhere(pool, found)
@@ -152,6 +156,28 @@ def ask_on(
     if usual:
         found, effects, tentative = as_a_whole(pool, found, effects, tentative)
     return found, effects, tentative, wanted, asked
+
+
+def _sure(
+    pool: CandidatePool, effects: Sequence[SingleEffect], found: Hypothesis
+) -> list[SingleEffect]:
+    """
+    Return the effects that are sure enough to be named; of several in `found` beside noise, too.
+
+    The damping of what gives, which nobody knows, is none of them.
+    """
+    limit = log_odds_at(pool.settings.named_from)
+    names = {cause.name for cause in found.causes}
+
+    def among(some: Sequence[SingleEffect]) -> list[SingleEffect]:
+        return [one for one in some if one.log_odds > limit]
+
+    own = [
+        one
+        for one in among(effects)
+        if one.best.cause.name in names and not is_damping(one.best.cause)
+    ]
+    return among(beside_noise(pool, found, own)) if len(own) > 1 else own
 
 
 def _with_their_orders(pool: CandidatePool, found: Hypothesis) -> Hypothesis:

@@ -58,11 +58,12 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
 )
 from waferbot_twin.noise_model.gram import spanning
+from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
     log_likelihood_ratios_in,
-    power_along,
     powers_along,
+    together,
 )
 from waferbot_twin.residuals.problem import PRIOR, Cause, Problem
 from waferbot_twin.residuals.record import Array
@@ -586,7 +587,17 @@ class Gain:
         already: Sequence[float],
     ) -> Gain:
         """Take what is left over without and with the change, and what had been gained before."""
-        powers = powers_along(left, change, known.colours)
+        return cls.beside(powers_along(left, change, known.colours), before, left, already)
+
+    @classmethod
+    def beside(
+        cls,
+        powers: Sequence[Power],
+        before: list[Array],
+        left: list[Array],
+        already: Sequence[float],
+    ) -> Gain:
+        """Take the power of the noise along the change as well."""
         squares = [
             more + float(one @ one) - float(two @ two)
             for more, one, two in zip(already, before, left, strict=True)
@@ -638,7 +649,9 @@ class _Linear:
         after = left + alone @ value
         # Not what known causes could explain on their own, far from their best values.
         change = known.split(known.left - after)
-        power = power_along(known.split(after), change, known.colours)
+        rest = known.split(after)
+        powers = powers_along(rest, change, known.colours)
+        power = together(powers, change)
         first = [part[:, 0] for part in known.split(rows)]
         moved = [one + part for one, part in zip(known.before, first, strict=True)]
         already = [gained.get(place, 0.0) for place in known.places]
@@ -646,7 +659,7 @@ class _Linear:
             value,
             products * np.outer(scale, scale) / power.value,
             sum(float(part @ part) for part in first) / power.value,
-            Gain.of(known, known.split(known.left), known.split(after), change, already),
+            Gain.beside(powers, known.split(known.left), rest, already),
             Gain.of(known, known.before, moved, first, [0.0] * len(moved)),
         )
 
