@@ -178,8 +178,9 @@ def _in_other_measure(machine: Machine, other: str) -> frozenset[str]:
 
 def _dry(machine: Machine, friction: float, hidden: Mapping, stiff_gear: bool) -> Answers:
     """Return the answers to a Coulomb friction at the axis."""
-    both = stiff_gear and 'coulomb' in hidden and 'motor_coulomb' in hidden
-    # Two that act as one: the sum is what can be found, under either name or both.
+    dry = {'coulomb', 'direction_dependent', *(['motor_coulomb'] if stiff_gear else [])}
+    # Several that act as one: the sum is what can be found, under any of their names or all.
+    both = len(dry & hidden.keys()) > 1
     values = {} if both else {'friction': friction}
     right = [Answer('coulomb_friction', values)]
     if stiff_gear:

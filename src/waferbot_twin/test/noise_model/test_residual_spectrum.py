@@ -26,6 +26,8 @@ from waferbot_twin.noise_model.prediction_error import (
 )
 from waferbot_twin.noise_model.residual_spectrum import (
     Power,
+    _by_spectrum,
+    _where_it_moves,
     flattened,
     information,
     log_likelihood_ratios_in,
@@ -109,6 +111,31 @@ def test_no_direction_of_many_is_known_better_than_in_noise_as_assumed():
     shares = np.linalg.eigvalsh(np.linalg.solve(as_assumed, half.T))
     assert shares.max() < 1.0 + 1e-9
     assert shares.min() > 0.05  # noise has no more than its own power either, but by chance
+
+
+@pytest.mark.parametrize('width', [60.0, 300.0, 3000.0])
+@pytest.mark.parametrize(
+    'estimate',
+    [lambda rest, change: _where_it_moves(rest, change, FEWEST_FREEDOM), _by_spectrum],
+    ids=['where it moves', 'by the spectrum'],
+)
+def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, width):
+    """Without what lies along a direction, as a fit leaves it, however short a motion is."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    change = np.exp(-0.5 * ((np.arange(SAMPLES) - 900.0) / width) ** 2)
+    change -= change.mean() if width > SAMPLES / 2 else 0.0
+    change /= np.linalg.norm(change)
+    found = []
+    for _ in range(DRAWS):
+        white = random.normal(size=SAMPLES)
+        rest = white - float(change @ white) * change
+        found.append(estimate(rest, change))
+    values, freedom = np.array([one.value for one in found]), found[0].freedom
+    assert freedom >= 1.0
+    spread = math.sqrt(2.0 / freedom)
+    assert np.mean(values) == pytest.approx(1.0, abs=4.0 * spread / math.sqrt(DRAWS))
+    assert np.std(values) == pytest.approx(spread, rel=0.25)
 
 
 def test_taken_as_white_noise_louder_while_moving_would_be_known_too_well():
