@@ -204,6 +204,7 @@ def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
     pool = SimpleNamespace(
         problem=None,
         settings=Settings(),
+        asked_beside=set(),
         usual=lambda: of('usual').causes,
         note_noise_of=lambda found: None,
     )
@@ -216,3 +217,6 @@ def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
     assert len(weighed) == 2 * come
     assert wanted == {str(place) for place in range(len(odds))}
     assert ('usual' in {cause.name for cause in found.causes}) == bool(come)
+    # What was asked for before the usual came may be another one now.
+    assert (frozenset() in pool.asked_beside) == (not come)
+    assert frozenset(cause.name for cause in found.causes) in pool.asked_beside

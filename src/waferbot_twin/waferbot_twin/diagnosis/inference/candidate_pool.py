@@ -104,7 +104,8 @@ class CandidatePool:
 
     `names` has every `effect:axis` among the candidates for a cause, once; `dense` is the effect of
     many small deviations, which is fitted each time: a linear problem says little of so many. `revised`
-    are the effects that were asked for anew, each with the names of the causes beside it.
+    are the effects that were asked for anew, each with the names of the causes beside it, and
+    `asked_beside` those beside which one effect more was asked for.
     """
 
     def __init__(
@@ -140,6 +141,7 @@ class CandidatePool:
         self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
         self.revised: set[tuple[str, frozenset[str]]] = set()
+        self.asked_beside: set[frozenset[str]] = set()
 
     def log_prior(self, cause: Cause) -> float:
         """
@@ -192,7 +194,8 @@ class CandidatePool:
         self.refits.problem = self._rings.problem = self.problem
 
     def leave_out(self, name: str) -> None:
-        """Take a candidate out."""
+        """Take a candidate out: what was asked for may be another one without it."""
+        self.asked_beside.clear()
         self._candidates = [cause for cause in self._candidates if cause.name != name]
         self._indistinct = [cause for cause in self._indistinct if cause.name != name]
         self.dense = [cause for cause in self.dense if cause.name != name]

@@ -100,7 +100,9 @@ def ask_on(
     """
     asked, sure, along = 0, list[SingleEffect](), set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
+    beside = set[frozenset[str]]()
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
+        beside.add(frozenset(cause.name for cause in found.causes))
         effect = ask(pool, found)
         asked += 1
         if effect is None:
@@ -149,8 +151,10 @@ def ask_on(
         found = _with_their_orders(pool, found)
         found, effects, tentative = some_of_each(pool.problem, found, effects, tentative)
         if come:
+            beside.clear()  # what follows is another one where the usual has been there
             found, effects, tentative = as_a_whole(pool, found, effects, tentative)
         pool.note_noise_of(found)
+    pool.asked_beside |= beside
     found = _begun_elsewhere(pool, found)
     wanted = {one.best.cause.name for one in (*effects, *tentative)} - along
     if usual:

@@ -6,7 +6,8 @@ Effects are added as long as one is more probable than not (`forward_selection`)
 that is held rigid may give as well (`flexible_model`) and what an axis carries be another load
 (`load_model`). What is not evident goes (`elimination`). Then each is asked for anew beside all others,
 as often as one changes (`revision`). Where one of those that were asked for has gone, what it stood for
-may still lack: more are added, and so on (stepwise selection). The posterior of each is that of
+may still lack: more are added, beside causes beside which was not asked yet, and so on (stepwise
+selection). The posterior of each is that of
 `single_effects`, from fits through the simulation for every candidate that the linear problem puts
 within reach (`refit`). Models that other choices lead to are weighed against the one that was found
 (`rival_models`). Last, what the closed loop has made of noise is taken out (`feigned`).
@@ -46,7 +47,7 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     pool.begin(found)
     pool.note_noise_of(found)
     most = pool.settings.most_asked
-    seen = set[frozenset[str]]()
+    pool.asked_beside.clear()
     usual = begun is not None
     while True:
         found, effects, tentative, wanted, asked = ask_on(
@@ -57,8 +58,7 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
         found, effects, asked = ask_again(pool, found, effects, most)
         most -= asked
         names = frozenset(cause.name for cause in found.causes)
-        if most > 0 and not names.issuperset(wanted) and names not in seen:
-            seen.add(names)
+        if most > 0 and not names.issuperset(wanted) and names not in pool.asked_beside:
             usual = True
             continue
         found, effects, asked = beside_rival_models(pool, found, effects, most)
