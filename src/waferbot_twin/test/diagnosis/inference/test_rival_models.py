@@ -43,7 +43,9 @@ def searched(monkeypatch):
             name = there.causes[-1].name
             asked_from.append(name)
             names, _ = leads_to[name]
-            return hypothesis(*names), [single((one, 0.999)) for one in names], [], set(), 1
+            known = {one.best.cause.name: one for one in effects}
+            own = [known.get(one, single((one, 0.999))) for one in names]
+            return hypothesis(*names), own, [], set(), 1
 
         def log_odds_between(pool, one, other):
             own = {cause.name for cause in one.causes}
@@ -82,9 +84,14 @@ EFFECTS = [
 
 def test_a_model_that_is_ahead_is_the_one_that_was_found(searched):
     leads_to = {'inertia': (('offset', 'friction', 'inertia'), 3.0)}
-    names, _, asked, _ = searched(FOUND, EFFECTS, leads_to)
+    names, effects, asked, asked_from = searched(FOUND, EFFECTS, leads_to)
     assert names == ['offset', 'friction', 'inertia']
     assert asked == 1
+    assert asked_from == ['inertia']  # the one before is weighed already
+    first, second = effects['inertia'].members
+    assert second.cause.name == 'gain'
+    assert second.probability / first.probability == pytest.approx(math.exp(-3.0))
+    assert effects['friction'].log_odds == pytest.approx(3.0)
 
 
 def test_a_rival_of_a_model_that_is_behind_is_in_the_set(searched):

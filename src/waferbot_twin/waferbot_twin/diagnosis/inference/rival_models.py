@@ -9,9 +9,9 @@ models are compared: with A the one that was found and B the other,
 
     P(B) / P(A) = L_B pi_B / (L_A pi_A).                                                            (1)
 
-If B is ahead, it is the one that was found. If not, it is what else the logs may mean: a cause that only
-A has is at most as probable as A beside B (D. Madigan, A. Raftery, Journal of the American Statistical
-Association 89, 1994: models in Occam's window).
+If B is ahead, it is the one that was found, and A the other. The other one is what else the logs may
+mean: a cause that only A has is at most as probable as A beside B (D. Madigan, A. Raftery, Journal of
+the American Statistical Association 89, 1994: models in Occam's window).
 """
 
 from __future__ import annotations
@@ -47,15 +47,16 @@ def beside_rival_models(
                 continue
             seen.add(names)
             others = [effect for effect in effects if effect.best.cause.name != name]
-            instead = with_odds(SingleEffect((rival,), 0.0), rival.log_odds)
+            effect = next(effect for effect in effects if effect.best.cause.name == name)
             there, own, tentative, _, asked = ask_on(
-                pool, rival.found, [*others, instead], left, usual=True
+                pool, rival.found, [*others, _led_by(effect, rival)], left, usual=True
             )
             there, its_effects = evident(pool, there, own, tentative)
             left -= asked
             log_odds = log_odds_between(pool, there, found)
             if log_odds > 0.0:
-                ahead = there, its_effects
+                ahead = there, _beside(its_effects, there, found, -log_odds)
+                seen.add(frozenset(cause.name for cause in found.causes))
                 break
             pool.note_noise_of(found)
             effects = _beside(effects, found, there, log_odds)
@@ -86,6 +87,12 @@ def _nearest_rivals(
                 nearest.append((member.probability / effect.best.probability, name, member))
                 break
     return [(name, member) for _, name, member in sorted(nearest, key=lambda item: -item[0])]
+
+
+def _led_by(effect: SingleEffect, rival: Member) -> SingleEffect:
+    """Return an effect with a rival in the place of the best; how probable the others are is open."""
+    others = (replace(one, probability=0.0) for one in effect.members if one is not rival)
+    return with_odds(SingleEffect((replace(rival, probability=1.0), *others), 0.0), rival.log_odds)
 
 
 def _may_catch_up(pool: CandidatePool, found: Hypothesis, rival: Member) -> bool:
