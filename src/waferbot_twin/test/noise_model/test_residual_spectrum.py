@@ -27,6 +27,7 @@ from waferbot_twin.noise_model.prediction_error import (
 from waferbot_twin.noise_model.residual_spectrum import (
     Power,
     _by_spectrum,
+    _larger,
     _where_it_moves,
     flattened,
     information,
@@ -136,6 +137,24 @@ def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, width):
     spread = math.sqrt(2.0 / freedom)
     assert np.mean(values) == pytest.approx(1.0, abs=4.0 * spread / math.sqrt(DRAWS))
     assert np.std(values) == pytest.approx(spread, rel=0.25)
+
+
+@pytest.mark.parametrize('rank', [1, 3, 5])
+def test_the_larger_covariance_is_no_smaller_than_either_along_any_direction(rank):
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    for _ in range(20):
+        one = np.cov(random.normal(size=(5, 50)))
+        roots = random.normal(size=(5, rank))
+        other = roots @ roots.T
+        found = _larger(one, other)
+        assert np.linalg.eigvalsh(found - one).min() > -1e-9
+        assert np.linalg.eigvalsh(found - other).min() > -1e-9
+        np.testing.assert_allclose(found, _larger(other, one), atol=1e-9)
+    np.testing.assert_allclose(_larger(one, one), one, atol=1e-9)
+    np.testing.assert_allclose(_larger(one, np.zeros((5, 5))), one, atol=1e-9)
+    apart = _larger(np.diag([3.0, 1.0, 0.0]), np.diag([2.0, 5.0, 0.0]))
+    np.testing.assert_allclose(apart, np.diag([3.0, 5.0, 0.0]), atol=1e-9)
 
 
 def test_taken_as_white_noise_louder_while_moving_would_be_known_too_well():
