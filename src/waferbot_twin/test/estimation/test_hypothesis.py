@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.estimation.hypothesis import Hypothesis
+from waferbot_twin.estimation import hypothesis
+from waferbot_twin.estimation.hypothesis import Hypothesis, signature
 from waferbot_twin.estimation.intervals import on_a_bound
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.problem import Cause
@@ -63,3 +65,34 @@ def test_a_size_on_a_bound_is_that_of_a_cause_if_the_logs_tell_no_other(
     problem = SimpleNamespace(nominal=nominal)
     assert on_a_bound(problem, found, -1) == stands_in
     assert not on_a_bound(problem, found, 0)
+
+
+@pytest.mark.parametrize('least', [0.0, 1.45])
+def test_a_slope_beside_what_a_part_can_carry_is_that_on_the_side_where_it_can(monkeypatch, least):
+    """A body of 1.5 kg on a bearing for just that; one that cannot be lighter, either, has no slope."""
+    effect, nominal = find('wrong_inertia'), Variant.of(load_model('rigid'))
+    (item,) = (one for one in effect.parameters(nominal, 'y_linear') if one.name == 'mass')
+    cause = Cause(effect, 'y_linear', {'mass': 1.5 * item.typical})
+
+    def apply_all(nominal, causes):
+        mass = causes[0].values['mass']
+        if not least * item.typical < mass <= 1.5 * item.typical:
+            raise UserError('the load lies beyond the last point')
+        return mass
+
+    monkeypatch.setattr(hypothesis, 'apply_all', apply_all)
+    problem = SimpleNamespace(
+        nominal=nominal,
+        between=lambda here, there: ('plant',),
+        touched=lambda effect, axis: ('plant',),
+        residuals=lambda mass, block: [np.array([3.0 * mass, mass**2])],
+    )
+    found = Hypothesis((cause,), {'plant': problem.residuals(cause.values['mass'], 'plant')}, {})
+    if least:
+        with pytest.raises(UserError):
+            signature(problem, found, (cause,), 0, np.array([0.2 * item.typical]))
+        return
+    (slopes,) = signature(problem, found, (cause,), 0).values()
+    assert slopes[0, 0] == pytest.approx(3.0)
+    assert slopes[1, 0] == pytest.approx(3.0 * item.typical, rel=0.2)
+    assert slopes[1, 0] < 3.0 * item.typical

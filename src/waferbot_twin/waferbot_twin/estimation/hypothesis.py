@@ -212,21 +212,36 @@ def signature(
     With `errors` (k,), how far each parameter must move, the others where they are, for the logs to show
     it (`estimation.conditional`), slopes are those over that way. Over a longer one a machine that
     sticks and slips does another thing: a fit with such slopes ends where the likelihood still rises.
+
+    A fit may end where a part just carries what it has to, and the step then leads to no machine: the
+    slope is that on the other side. Raises `UserError` if there is none, either.
     """
     cause, here = causes[place], apply_all(problem.nominal, causes)
-    parameters = parameters_of(problem, cause)
     absent = is_nothing(problem, cause)
-    found: dict[str, list[Array]] = {}
-    for number, item in enumerate(parameters):
-        step = _probe(cause, item, math.inf if errors is None else float(errors[number]))
+
+    def slopes(item: Parameter, step: float) -> dict[str, Array]:
         moved = cause.with_values({item.name: cause.values[item.name] + step})
         variant = apply_all(problem.nominal, (*causes[:place], moved, *causes[place + 1 :]))
         differing = () if absent and item.shape else problem.between(here, variant)
+        columns = {}
         for block in problem.touched(cause.effect, cause.axis):
             before = np.concatenate(hypothesis.residuals[block])
-            column = np.zeros_like(before)
+            columns[block] = np.zeros_like(before)
             if block in differing:
-                column = (np.concatenate(problem.residuals(variant, block)) - before) / step
+                after = np.concatenate(problem.residuals(variant, block))
+                columns[block] = (after - before) / step
+        return columns
+
+    found: dict[str, list[Array]] = {}
+    for number, item in enumerate(parameters_of(problem, cause)):
+        step = _probe(cause, item, math.inf if errors is None else float(errors[number]))
+        try:
+            own = slopes(item, step)
+        except UserError:
+            if not item.low <= cause.values[item.name] - step <= item.high:
+                raise
+            own = slopes(item, -step)
+        for block, column in own.items():
             found.setdefault(block, []).append(column)
     return {block: np.column_stack(columns) for block, columns in found.items()}
 
