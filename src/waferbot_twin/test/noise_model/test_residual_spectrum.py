@@ -115,12 +115,16 @@ def test_no_direction_of_many_is_known_better_than_in_noise_as_assumed():
 
 
 @pytest.mark.parametrize('width', [60.0, 300.0, 3000.0])
+@pytest.mark.parametrize('block', [1, 12])
 @pytest.mark.parametrize(
     'estimate',
-    [lambda rest, change: _where_it_moves(rest, change, FEWEST_FREEDOM), _by_spectrum],
+    [
+        lambda rest, change, block: _where_it_moves(rest, change, FEWEST_FREEDOM, block),
+        _by_spectrum,
+    ],
     ids=['where it moves', 'by the spectrum'],
 )
-def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, width):
+def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, block, width):
     """Without what lies along a direction, as a fit leaves it, however short a motion is."""
     print(f'seed {SEED}')
     random = np.random.default_rng(SEED)
@@ -131,7 +135,7 @@ def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, width):
     for _ in range(DRAWS):
         white = random.normal(size=SAMPLES)
         rest = white - float(change @ white) * change
-        found.append(estimate(rest, change))
+        found.append(estimate(rest, change, block))
     values, freedom = np.array([one.value for one in found]), found[0].freedom
     assert freedom >= 1.0
     spread = math.sqrt(2.0 / freedom)

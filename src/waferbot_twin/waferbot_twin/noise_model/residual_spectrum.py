@@ -139,6 +139,9 @@ def powers_along(
     freedom of the one that has more, K at most. Of a channel that follows to the last bit, where no
     noise is, lambda is 1 and exact. lambda is not less than 1: of many directions that are tried a fit
     takes one in which noise happened to be weak.
+
+    What an autoregression can see is white already. So both are found of sums over half as many samples
+    as it has coefficients (`_block`), for a sixth of the time.
     """
     found = []
     for white, change, colour in zip(left, changes, colours, strict=True):
@@ -147,18 +150,22 @@ def powers_along(
             found.append(Power(1.0, math.inf))
             continue
         rest = white - float(change @ white) / square * change
-        both = _where_it_moves(rest, change, colour.freedom), _by_spectrum(rest, change)
+        block = _block(colour)
+        both = (
+            _where_it_moves(rest, change, colour.freedom, block),
+            _by_spectrum(rest, change, block),
+        )
         known = max(one.freedom for one in both)
         value = max(1.0, *(one.value for one in both))
         found.append(Power(value, min(known, float(colour.freedom))))
     return found
 
 
-def _where_it_moves(left: Array, change: Array, count: int) -> Power:
-    """Return equation (1) of a channel with K = `count`."""
-    count = min(count, (len(change) - 1) // 2)
-    sums = on_cosines(change * left, count)
-    square = change**2
+def _where_it_moves(left: Array, change: Array, count: int, block: int = 1) -> Power:
+    """Return equation (1) of a channel with K = `count`, in sums over blocks of samples."""
+    moves, square = _sums(change * left, block), _sums(change**2, block)
+    count = min(count, (len(square) - 1) // 2)
+    sums = on_cosines(moves, count)
     lags = np.concatenate([[square.sum()], on_cosines(square, 2 * count) / math.sqrt(2.0)])
     places = np.arange(1, count + 1)
     products = lags[np.abs(places[:, None] - places)] + lags[places[:, None] + places]
@@ -167,17 +174,41 @@ def _where_it_moves(left: Array, change: Array, count: int) -> Power:
     return Power(float(sums @ sums) / white, white**2 / float(np.sum(products**2)))
 
 
-def _by_spectrum(left: Array, change: Array) -> Power:
-    """Return equation (2) of a channel."""
-    lines = np.abs(rfft(change)) ** 2
-    weights = lines / lines.sum()
+def _by_spectrum(left: Array, change: Array, block: int = 1) -> Power:
+    """Return equation (2) of a channel; noise is white above what sums over blocks of samples show."""
+    square = float(change @ change)
+    slow = _sums(left, block) / math.sqrt(block)
+    lines = np.abs(rfft(_sums(change, block))) ** 2 / (block * square)
+    weights = _twice(len(slow)) * lines / len(slow)
+    fast = max(1.0 - float(weights.sum()), 0.0)
     first, last = _bands(len(lines))
     # How much each line of the periodogram counts: in every band that it is in.
     shares, size = weights / (last - first + 1), len(lines) + 1
     counts = np.cumsum(np.bincount(first, shares, size) - np.bincount(last + 1, shares, size))[:-1]
-    white = 1.0 - float(counts @ lines) / (len(change) * float(change @ change))
-    freedom = 2.0 * float(counts.sum()) ** 2 / float(counts @ counts)
-    return Power(float(weights @ spectrum(left)) / white, freedom)
+    white = float(counts @ (1.0 - lines / len(slow))) + fast
+    freedom = 2.0 * (float(counts.sum()) + fast) ** 2 / float(counts @ counts)
+    return Power((float(weights @ spectrum(slow)) + fast) / white, freedom)
+
+
+def _block(colour: Colour) -> int:
+    """Return over how many samples sums are: an autoregression sees what is faster than they show."""
+    return max(1, colour.error.order // 2)
+
+
+def _sums(samples: Array, block: int) -> Array:
+    """Return the sums of samples (N,) or (N, k) over blocks, zeros added at the end."""
+    if block == 1:
+        return samples
+    return np.add.reduceat(samples, np.arange(0, len(samples), block), axis=0)
+
+
+def _twice(count: int) -> Array:
+    """Return how often each line of the transform of so many real samples is one of the whole of it."""
+    twice = np.full(count // 2 + 1, 2.0)
+    twice[0] = 1.0
+    if count % 2 == 0:
+        twice[-1] = 1.0
+    return twice
 
 
 def log_likelihood_ratios_in(powers: Sequence[Power], squares: Sequence[float]) -> list[float]:
@@ -238,7 +269,7 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
         if one.error.order:
             projected = on_cosines(part * white[:, None], one.freedom)
             moving += projected.T @ projected / one.freedom
-            slow += _covariance_by_spectrum(part, white)
+            slow += _covariance_by_spectrum(part, white, _block(one))
         else:
             more += part.T @ part
     for places, logs in misfit.of_axes([noise.state for noise in estimate.noises]):
@@ -252,16 +283,13 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
     return np.asarray(shown @ np.linalg.solve(noisy, shown.T), np.float64)
 
 
-def _covariance_by_spectrum(rows: Array, left: Array) -> Array:
+def _covariance_by_spectrum(rows: Array, left: Array, block: int) -> Array:
     """Return the covariance (k, k) of A' e for e with the averaged periodogram of what is left over."""
-    count = len(left)
-    lines = rfft(rows, axis=0)
-    twice = np.full(len(lines), 2.0)
-    twice[0] = 1.0
-    if count % 2 == 0:
-        twice[-1] = 1.0
-    weights = twice * spectrum(left) / count
-    return np.asarray((lines.conj() * weights[:, None]).T @ lines).real
+    slow, own = _sums(left, block) / math.sqrt(block), _sums(rows, block) / math.sqrt(block)
+    lines = rfft(own, axis=0)
+    weights = _twice(len(slow)) * (spectrum(slow) - 1.0) / len(slow)
+    more = (lines.conj() * weights[:, None]).T @ lines
+    return np.asarray(rows.T @ rows + more.real)
 
 
 def _larger(one: Array, other: Array) -> Array:
