@@ -17,7 +17,9 @@ from scipy.stats import t as student
 
 from waferbot_twin.noise_model.prediction_error import (
     FEWEST_FREEDOM,
+    Colour,
     Noise,
+    PredictionError,
     fit,
     freedom_of,
     in_deviations,
@@ -141,6 +143,25 @@ def test_white_noise_has_a_power_of_one_known_as_well_as_said(estimate, block, w
     spread = math.sqrt(2.0 / freedom)
     assert np.mean(values) == pytest.approx(1.0, abs=4.0 * spread / math.sqrt(DRAWS))
     assert np.std(values) == pytest.approx(spread, rel=0.25)
+
+
+@pytest.mark.parametrize('shape', ['one sample', 'a few samples', 'every other sample', 'a step'])
+def test_noise_has_a_power_along_whatever_changes(shape):
+    """Along a count that was lost, a blow, the fastest there is: white noise has 1 there, too."""
+    print(f'seed {SEED}')
+    random = np.random.default_rng(SEED)
+    change = {
+        'one sample': np.eye(1, SAMPLES, 1001)[0],
+        'a few samples': (np.arange(SAMPLES) // 3 == 333) * 1.0,
+        'every other sample': (-1.0) ** np.arange(SAMPLES),
+        'a step': (np.arange(SAMPLES) > 2990) * 1.0,
+    }[shape]
+    colour = Colour(PredictionError(np.zeros(25), np.zeros(0), 0), 1.0)
+    powers = [
+        powers_along([random.normal(size=SAMPLES)], [change], [colour])[0] for _ in range(DRAWS)
+    ]
+    assert all(one.value >= 1.0 and 1.0 <= one.freedom <= FEWEST_FREEDOM for one in powers)
+    assert np.median([one.value for one in powers]) < 1.5
 
 
 @pytest.mark.parametrize('rank', [1, 3, 5])

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct, rfft
 
 from waferbot_twin.noise_model import misfit
-from waferbot_twin.noise_model.gram import spanning
+from waferbot_twin.noise_model.gram import SMALLEST, spanning
 from waferbot_twin.noise_model.power import Power
 from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
 
@@ -171,6 +171,8 @@ def _where_it_moves(left: Array, change: Array, count: int, block: int = 1) -> P
     products = lags[np.abs(places[:, None] - places)] + lags[places[:, None] + places]
     products -= np.outer(lags[places], lags[places]) * (2.0 / lags[0])
     white = float(np.trace(products))
+    if white <= SMALLEST * count * lags[0]:  # all of it is in one block, and lies along d
+        return Power(0.0, 0.0)
     return Power(float(sums @ sums) / white, white**2 / float(np.sum(products**2)))
 
 
@@ -186,7 +188,8 @@ def _by_spectrum(left: Array, change: Array, block: int = 1) -> Power:
     shares, size = weights / (last - first + 1), len(lines) + 1
     counts = np.cumsum(np.bincount(first, shares, size) - np.bincount(last + 1, shares, size))[:-1]
     white = float(counts @ (1.0 - lines / len(slow))) + fast
-    freedom = 2.0 * (float(counts.sum()) + fast) ** 2 / float(counts @ counts)
+    uncertain = float(counts @ counts)
+    freedom = 2.0 * (float(counts.sum()) + fast) ** 2 / uncertain if uncertain else math.inf
     return Power((float(weights @ spectrum(slow)) + fast) / white, freedom)
 
 
