@@ -35,6 +35,7 @@ from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.logs.load import load_log
 from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals.from_measured_log import aligned_records, sized_by
@@ -520,3 +521,30 @@ def test_a_compliance_that_rings_is_what_it_is_in_fine_steps(tmp_path):
     step_s = 1.0 / (4.0 * case.setup.tick_hz)
     assert coarse / truth - 1.0 == pytest.approx(-(step_s**2) / (truth * reduced) / 6.0, rel=0.5)
     assert abs(fine / truth - 1.0) < 1e-3
+
+
+def test_an_encoder_of_another_scale_leaves_what_another_force_constant_does(tmp_path):
+    """
+    Without friction and weight, x' = (1 + s) x and a force constant (1 + s) k are the same machine.
+
+    An observer that corrects by counts of the model's scale is slower by that: the scale explained a log
+    better than the force constant that was wrong, by 10 in ln L, and was named with certainty.
+    """
+    case = draw(249, 3)
+    machine = case.setup.machine
+    assert machine.linear
+    assert machine.coulomb == machine.viscous == 0.0
+    write_case(case, tmp_path)
+    nominal = Variant.of(load_model_or_machine(str(tmp_path / MACHINE)))
+    log = load_log(tmp_path / ESTIMATION, str(tmp_path / MAP), None, None, None, None)
+    problem = Problem(nominal, aligned_records([log], nominal, moved=False))
+    left = {}
+    for name, values in {
+        'encoder_scale': {'error': -0.05},
+        'force_constant': {'ratio': 0.95},
+    }.items():
+        cause = Cause(find(name), machine.axis, values)
+        (left[name],) = evaluate(problem, (cause,)).residuals['plant']
+    (before,) = evaluate(problem).residuals['plant']
+    assert np.std(left['force_constant'] - before) > 0.1
+    np.testing.assert_allclose(left['encoder_scale'], left['force_constant'], atol=2e-3)

@@ -9,8 +9,9 @@ Luenberger observer does,
     e = y - c x        x += l1 e / c        x' += l2 e / c
     l1 = 1 - q^2       l2 = (1 + q^2 - 2 q cos(sqrt(1 - z^2) w h)) / h       q = exp(-z w h)
 
-with c counts per unit, h the time since the correction before, w and z the observer's frequency and
-damping: the error of a double integrator then dies out as exp(-z w t) at whatever times readings come
+with c counts shown per unit (with the error of an encoder's scale, which changed w else), h the time
+since the correction before, w and z the observer's frequency and damping: the error of a double
+integrator then dies out as exp(-z w t) at whatever times readings come
 (for small w h, l1 = 2 z w h and l2 = w^2 h). The innovation e, in steps of the model's encoder, which
 are counts if it is not coarse, is the block's residual. A force F that the model lacks appears in it
 as c F / (M (s^2 + 2 z w s + w^2)): below w it is a picture of the force itself, so w is chosen above
@@ -400,7 +401,7 @@ class PlantBlock:
             if not together[place].any() or behind[place, 0] >= 0:
                 continue
             start, slope = self._begins[place]
-            per_unit = p['counts_per_unit'][place]
+            per_unit = p['counts_per_unit'][place] * (1.0 + p['scale_error'][place])
             coordinate = p['encoder_coordinate'][place]
             missing = start / per_unit - s['position'][coordinate]
             s['position'][: together.shape[1]] += together[place] * missing
@@ -570,7 +571,7 @@ def _drive(
         if tick % divider == 0 and tick // divider < reading.shape[0]:
             row = tick // divider
             for encoder in finest_first:
-                per_unit = p['counts_per_unit'][encoder]
+                per_unit = p['counts_per_unit'][encoder] * (1.0 + p['scale_error'][encoder])
                 if per_unit == 0.0:
                     continue
                 coordinate = p['encoder_coordinate'][encoder]
@@ -626,13 +627,14 @@ def _drive(
                         s['velocity'][other] += gain_velocity[encoder, other] * error
                     for other in range(reading.shape[1]):
                         other_coordinate = p['encoder_coordinate'][other]
-                        other_per_unit = p['counts_per_unit'][other]
+                        scale = 1.0 + p['scale_error'][other]
+                        other_per_unit = p['counts_per_unit'][other] * scale
                         moved = gain_position[encoder, other_coordinate] * error * other_per_unit
                         rate = together[encoder, other_coordinate] * turn * other_per_unit
                         corrected[other] += moved
                         turned[other] += rate
                         lever[other] += rate * then_s
-                        s['position_before'][other] += moved + delay_s * rate
+                        s['position_before'][other] += (moved + delay_s * rate) / scale
                     continue
                 left[encoder] = (1.0 - gains[0, encoder]) * error
                 if spring >= 0:
@@ -649,14 +651,14 @@ def _drive(
                     s['velocity'][other] += gains[1, encoder] * share
                 for other in range(reading.shape[1]):
                     other_coordinate = p['encoder_coordinate'][other]
-                    share = (
-                        together[encoder, other_coordinate] * error * p['counts_per_unit'][other]
-                    )
+                    scale = 1.0 + p['scale_error'][other]
+                    other_per_unit = p['counts_per_unit'][other] * scale
+                    share = together[encoder, other_coordinate] * error * other_per_unit
                     moved, rate = gains[0, encoder] * share, gains[1, encoder] * share
                     corrected[other] += moved
                     turned[other] += rate
                     lever[other] += rate * then_s
-                    s['position_before'][other] += moved + delay_s * rate
+                    s['position_before'][other] += (moved + delay_s * rate) / scale
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
         for motor in range(motors.MOTORS):
