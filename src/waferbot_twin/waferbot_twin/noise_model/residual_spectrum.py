@@ -8,7 +8,7 @@ at the lowest frequencies by a factor of ten and more and hardly change its auto
 Parameters that show there, such as a force constant by the weight that it holds, then seem better
 known than they are. So the residual's periodogram is averaged over bands that grow with frequency.
 What is compared is divided by its square root, frequency by frequency (`Whitening`), or left as it
-is, and how far its noise moves what is fitted to it is found with that spectrum (`covariance`).
+is, and how far its noise moves what is fitted to it is found with that spectrum (`information`).
 
 Limit: the lowest lines are averaged with one another. Where noise still rises towards zero among
 them, what shows in the first two periods of a log only is known less well than this says, by some
@@ -141,7 +141,7 @@ def powers_along(
     takes one in which noise happened to be weak.
 
     What an autoregression can see is white already. So both are found of sums over half as many samples
-    as it has coefficients (`_block`), for a sixth of the time.
+    as it has coefficients (`_block`), which takes less time.
     """
     found = []
     for white, change, colour in zip(left, changes, colours, strict=True):
@@ -199,7 +199,7 @@ def _block(colour: Colour) -> int:
 
 
 def _sums(samples: Array, block: int) -> Array:
-    """Return the sums of samples (N,) or (N, k) over blocks, zeros added at the end."""
+    """Return the sums of samples (N,) or (N, k) over blocks; the last one may be shorter."""
     if block == 1:
         return samples
     return np.add.reduceat(samples, np.arange(0, len(samples), block), axis=0)

@@ -29,7 +29,7 @@ The variances s_k are those of maximum likelihood in the averaged periodogram
 Fevotte, N. Bertin, J.-L. Durrieu, Neural Computation 21, 2009, for the Itakura-Saito divergence).
 
 What the spectrum does not catch is no part of the weighting. It counts where two models are
-compared and in intervals (`residual_spectrum.power_along`, `covariance`).
+compared and in intervals (`residual_spectrum.power_along`, `information`).
 """
 
 from __future__ import annotations
