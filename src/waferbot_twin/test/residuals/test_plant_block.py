@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_twin.effects import find
@@ -230,3 +231,30 @@ def test_what_is_left_over_is_continuous_in_a_delay(rows):
     )
     for one, other in zip(before, after, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4)
+
+
+@pytest.mark.parametrize('late_ms', [0.05, 0.4, 1.3])
+def test_a_late_encoder_is_a_late_log(late_ms):
+    """With friction, too: readings and drive, as much later as each other, leave the same over."""
+    nominal = Variant.of(load_model('rigid'))
+    record = record_of(nominal, 'step', 0.3)
+    random = np.random.default_rng(SEED)
+    reading = record.reading + 3.0 * random.standard_normal(record.reading.shape)
+    reading[:, [name != 'y_linear' for name in ENCODERS]] = np.nan
+    lines = record.line_current
+    current = np.zeros((len(lines), 3))
+    current[:, 0] = np.repeat(np.cumsum(random.standard_normal(len(lines) // 60)), 60)
+    none = np.full_like(lines, np.nan)
+    alone = replace(record, reading=reading, line_current=none, current=current)
+    rubs = find('coulomb_friction').apply(nominal, 'y_linear', {'friction': 10.0})
+
+    def left_over(later_ms):
+        late = find('encoder_delay').apply(rubs, 'y_linear', {'delay': 0.2 + later_ms})
+        both = replace(late, skew_s={'y_linear': 1e-4 + 1e-3 * later_ms})
+        return PlantBlock(alone, nominal).innovations(both)[0]
+
+    one, other = left_over(0.0), left_over(late_ms)
+    np.testing.assert_allclose(other, one, atol=1e-6 * float(np.abs(one).max()))
+    frictionless = find('encoder_delay').apply(nominal, 'y_linear', {'delay': 0.2})
+    without = PlantBlock(alone, nominal).innovations(frictionless)[0]
+    assert np.abs(one - without).max() > 0.1

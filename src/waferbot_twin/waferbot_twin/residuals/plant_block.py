@@ -27,8 +27,11 @@ corrected the speed then has moved the plant since, and all of its path between,
 
     x += (l1 + l2 T) e / c,        x(s) by (l1 + l2 (s - t + T)) e / c,      t - T <= s <= t.
 
-So a late encoder and a log that is as late leave the same over, whatever noise there is: else the
-observer, and with it the spread of e, would depend on the delay. A reading that was taken between two
+So a late encoder and a log that is as late leave nearly the same over, whatever noise there is: else
+the observer, and with it the spread of e, would depend on the delay. Nearly, as friction on that path
+would have been another one. So T is what readings are late of one another, and by as much as the model
+has the published ones late in any case (`delay_cycles`); by what all of a log are later still, the
+currents are taken from earlier in the log, which is exact. A reading that was taken between two
 rows is compared with the parabola through the three nearest, straight beyond these; if it is published
 at once, with the line along the speed.
 
@@ -284,11 +287,13 @@ class PlantBlock:
         standing = _standing(machine.description, p, together)
         gains = self._gains(machine, state, parameters, together, behind, standing)
         innovation = np.zeros_like(record.reading)
+        later = self._later(p, machine.description.encoder_delay) * record.timing.encoder_divider
+        lines = record.line_current
         blown_up = _drive(
             state,
             parameters,
-            record.line_current,
-            self._acting_current(variant),
+            _moved(lines, np.full(lines.shape[1], -later)) if later else lines,
+            self._acting_current(variant, later),
             0.5 if record.whole_counts else 0.0,
             record.timing.encoder_divider,
             2.0 * math.pi * self._observer_hz,
@@ -313,12 +318,27 @@ class PlantBlock:
             for place, rows in zip(self._places, self._samples, strict=True)
         ]
 
-    def _acting_current(self, variant: Variant) -> Array:
+    def _later(self, p: np.void, usual: int) -> float:
+        """
+        Return how much later than `usual` all readings of the log are, rows; each is so no more, then.
+
+        Changes the delays in the parameters `p`. Negative if all are earlier.
+        """
+        late = (p['encoder_delay'] + p['delay_fraction'])[self._places]
+        later = float(late.min(initial=np.inf)) - usual
+        if later == 0.0 or not self._places:
+            return 0.0
+        p['delay_fraction'][self._places], whole = np.modf(late - later)
+        p['encoder_delay'][self._places] = whole
+        return later
+
+    def _acting_current(self, variant: Variant, readings_later: float) -> Array:
         """
         Return the current (n, 3) that makes force, A; (0, 3) where line currents are known.
 
-        That of a skewed axis is what stands in the log so much later. What a drive did between its
-        samples is a path there where it goes straight (`drive_path`), and a time elsewhere.
+        That of a skewed axis is what stands in the log so much later, less the ticks that the readings
+        are later themselves. What a drive did between its samples is a path there where it goes
+        straight (`drive_path`), and a time elsewhere.
         """
         if self.record.current is None:
             return np.zeros((0, motors.MOTORS))
@@ -330,8 +350,9 @@ class PlantBlock:
         if early_s.any() and path is not None:
             current = current + path.earlier_by(early_s, tick_s)
             early_s = np.where(path.step_s > 0.0, 0.0, early_s)
-        if late_s.any() or early_s.any():
-            current = _moved(current, (late_s + early_s) / tick_s)
+        later = (late_s + early_s) / tick_s - readings_later
+        if later.any():
+            current = _moved(current, later)
         lags = places.drive_lags(variant)
         return np.asarray(motors.lagged(current, lags, tick_s)) if lags.any() else current
 
@@ -439,7 +460,7 @@ def _joint(p: np.void, one: int, other: int) -> int:
 
 def _moved(current: Array, late: Array) -> Array:
     """
-    Return the means of currents (n, 3) over ticks that begin `late` (3,) ticks later, any fraction.
+    Return the means of currents (n, k) over ticks that begin `late` (k,) ticks later, any fraction.
 
     A current goes on as it is at the ends of a log and in gaps.
     """
