@@ -11,10 +11,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import lfilter
-from scipy.stats import binom
+from scipy.stats import binom, norm
 from scipy.stats import t as student
 
+from waferbot_twin.noise_model.power import WholePower
 from waferbot_twin.noise_model.prediction_error import (
     FEWEST_FREEDOM,
     Colour,
@@ -242,6 +245,21 @@ def test_power_is_known_better_from_a_longer_log_and_from_lines_up_to_the_same_f
         colours = likelihood([channel], [Noise(1e-9, ORDER, freedom=freedom)]).colours
         (white,), (change,) = (in_deviations(colours, [one]) for one in (channel, channel[::-1]))
         assert power_along([white], [change], colours).freedom == pytest.approx(freedom)
+
+
+@given(st.integers(2, 40), st.integers(0, 2**32 - 1))
+@settings(derandomize=True, deadline=None)
+def test_the_power_of_few_samples_is_that_of_themselves(count, seed):
+    """The likelihood ratio of two sets of samples, each with the variance that is its likeliest."""
+    before, after = np.random.default_rng(seed).standard_normal((2, count))
+
+    def log_likelihood(samples):
+        return norm.logpdf(samples, scale=np.sqrt(np.mean(samples**2))).sum()
+
+    power = WholePower.of(after)
+    assert power.as_if_known is power
+    ratio = power.log_likelihood_ratio(float(before @ before - after @ after))
+    assert ratio == pytest.approx(log_likelihood(after) - log_likelihood(before), abs=1e-9)
 
 
 def test_a_likelihood_ratio_is_half_of_the_squares_where_power_is_known_and_less_where_it_is_not():

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,16 +26,19 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import moved, names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis, width_of
-from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.estimation.intervals import Rival, averaged
 from waferbot_twin.residuals.problem import Problem, apply_all
 from waferbot_twin.residuals.record import Array
 
 
-def accelerations(problem: Problem, found: Hypothesis) -> list[Correction]:
+def accelerations(
+    problem: Problem, found: Hypothesis, rivals: Sequence[Rival] = ()
+) -> list[Correction]:
     """
     Return the accelerations per ampere that the logs tell to be others than the model's, with intervals.
 
-    None of axes whose logs have a force: of these the mass itself is told.
+    None of axes whose logs have a force: of these the mass itself is told. Intervals are averages over
+    the other models, `rivals`, where they are known no better than here.
     """
     names = names_of(problem, found.causes)
     nominal = problem.nominal
@@ -54,16 +58,25 @@ def accelerations(problem: Problem, found: Hypothesis) -> list[Correction]:
         except UserError:  # no machine: a part is too small for it
             return []
         slopes[number] = (_of_axes(there, axes) - here) / change[number]
-    reaches = NORMAL_95 * np.sqrt(np.einsum('ka,kl,la->a', slopes, found.covariance, slopes))
+    errors = np.sqrt(np.einsum('ka,kl,la->a', slopes, found.covariance, slopes))
+    others = [
+        (_of_axes(apply_all(nominal, one.found.causes), axes), one.log_odds) for one in rivals
+    ]
+    ends = [
+        averaged(value, error, [(there[place], error, log_odds) for there, log_odds in others])
+        for place, (value, error) in enumerate(zip(here, errors, strict=True))
+    ]
     return [
         Correction(
             f'acceleration per ampere of {axis}',
             f'axes.{axis}.acceleration_per_ampere',
             'rad/s2/A' if places.rotary(nominal, axis) else 'm/s2/A',
-            float(before), float(after), float(after - reach), float(after + reach),
+            float(before), float(after), low, high,
         )
-        for axis, before, after, reach in zip(axes, _of_axes(nominal, axes), here, reaches, strict=True)
-        if abs(after - before) > reach
+        for axis, before, after, (low, high) in zip(
+            axes, _of_axes(nominal, axes), here, ends, strict=True
+        )
+        if not low <= before <= high
     ]  # fmt: skip
 
 

@@ -29,6 +29,7 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical, tables
 from waferbot_twin.diagnosis.inference.elimination import as_evident
 from waferbot_twin.diagnosis.inference.exactness import as_likely_as_not_where_inexact, inexact
+from waferbot_twin.diagnosis.inference.model_average import rivals_of
 from waferbot_twin.diagnosis.inference.nuisance import (
     corrections,
     nuisance,
@@ -52,7 +53,7 @@ from waferbot_twin.effects import library
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_errors
-from waferbot_twin.estimation.intervals import Intervals, intervals_95
+from waferbot_twin.estimation.intervals import Intervals, Rival, intervals_95
 from waferbot_twin.estimation.known_values import Known
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.observer_bandwidth import with_observers
@@ -205,8 +206,11 @@ def diagnose(
     posterior = as_likely_as_not_where_inexact(problem, posterior, settings)
     posterior = as_sure_as_constant(pool, posterior)
     possible: list[FoundCause] = []
+    models = list(posterior.models)
     while unnamed := _without_a_name(posterior, settings):
-        possible += _found_causes(problem, posterior, settings, unnamed)
+        rivals = rivals_of(pool, posterior.found, models, [one.name for one in refuted])
+        possible += _found_causes(problem, posterior, settings, unnamed, rivals)
+        models.append(posterior.found)
         posterior = as_evident(pool, posterior.without(problem, unnamed, workers))
     extension = extension_that_wins(
         nominal,
@@ -222,12 +226,14 @@ def diagnose(
     notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
+    rivals = rivals_of(pool, posterior.found, models, [one.name for one in withdrawn])
     problem, posterior = _in_fine_steps(problem, posterior, workers)
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
     follows = follows_command(problem, posterior, settings)
     left = unexplained(problem, posterior, follows)
-    causes = _found_causes(problem, posterior, settings, posterior.found.causes, follows)
+    found = posterior.found
+    causes = _found_causes(problem, posterior, settings, found.causes, rivals, follows)
     extended = apply_all(nominal, _in_the_model(posterior.found))
     notes += [
         *told,
@@ -259,8 +265,8 @@ def diagnose(
         posterior.tried,
         time.perf_counter() - begun_s,
         notes,
-        corrections(problem, posterior.found, numbers),
-        accelerations(problem, posterior.found),
+        corrections(problem, posterior.found, numbers, rivals),
+        accelerations(problem, posterior.found, rivals),
     )
 
 
@@ -340,6 +346,7 @@ def _found_causes(
     posterior: Posterior,
     settings: Settings,
     some: Sequence[Cause],
+    rivals: Sequence[Rival],
     follows: Follows | None = None,
 ) -> list[FoundCause]:
     """Return those of some causes that have a physical name, what explains most first."""
@@ -356,7 +363,7 @@ def _found_causes(
             FoundCause(
                 cause,
                 cause.effect.parameters(problem.nominal, cause.axis),
-                intervals_95(problem, found, place, own, []),
+                intervals_95(problem, found, place, own, rivals),
                 effect.inclusion,
                 effect.best.probability,
                 _credible_set(effect, cause, settings),

@@ -12,21 +12,32 @@ more than
 
 less likely, the 95 % point of chi-squared with one degree of freedom (likelihood ratio; S. S. Wilks,
 Annals of Mathematical Statistics 9, 1938). So can a limit that acts from one tick to the next: up to
-the next tick no log knows of it, whatever a difference quotient says. And so can the whole cause, if a
-fit from another trial explains the logs as well: an interval reaches to the values there.
+the next tick no log knows of it, whatever a difference quotient says.
+
+These are the values in one model. Where the logs leave open which of several models M it is, a value is
+known as well as all of them tell, with the density
+
+    p(x) = sum over M of P(M) p(x | M),                                                          (1)
+
+each a normal one (Bayesian model averaging: J. Hoeting, D. Madigan, A. Raftery, C. Volinsky, Statistical
+Science 14, 1999). An interval reaches to where 2.5 % of (1) are left on either side.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import bisect
+from scipy.special import softmax
 from scipy.stats import chi2, norm
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.conditional import conditional_errors
+from waferbot_twin.estimation.gauss_newton import names_of
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -35,13 +46,16 @@ from waferbot_twin.estimation.hypothesis import (
     standard_errors,
 )
 from waferbot_twin.estimation.quantised_fit import same_bits
-from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array
 
-NORMAL_95 = float(norm.ppf(0.975))
+LEVEL = 0.95
+"""Probability of an interval."""
+
+NORMAL_95 = float(norm.ppf(0.5 * (1.0 + LEVEL)))
 """Standard errors to either side of a normally distributed estimate that hold 95 % of all."""
 
-AS_LIKELY = float(chi2(1).ppf(0.95))
+AS_LIKELY = float(chi2(1).ppf(LEVEL))
 """Difference in 2 ln L up to which a value is in the interval of one parameter."""
 
 FINEST, COARSER = 0.01, 1.5
@@ -52,6 +66,58 @@ HALVINGS = 6
 
 Intervals = dict[str, tuple[float, float]]
 """By name of a parameter, the ends of its interval."""
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Another model of the same logs, and ln of its posterior odds against the one that was found."""
+
+    found: Hypothesis
+    log_odds: float
+
+
+def errors_by_name(problem: Problem, hypothesis: Hypothesis) -> dict[tuple[str, str], float]:
+    """Return the standard error of every parameter that was fitted, by its cause's name and its own."""
+    errors, names = standard_errors(hypothesis), names_of(problem, hypothesis.causes)
+    if len(errors) != len(names):
+        return {}
+    return {
+        (hypothesis.causes[place].name, item.name): float(error)
+        for (place, item), error in zip(names, errors, strict=True)
+    }
+
+
+def averaged(
+    value: float, error: float, others: Sequence[tuple[float, float, float]]
+) -> tuple[float, float]:
+    """
+    Return the ends of the 95 % interval of a value by equation (1).
+
+    `error` is its standard error in the model that was found; `others` are value, standard error and ln
+    of the odds of each other model against that one.
+    """
+    if not others:
+        return value - NORMAL_95 * error, value + NORMAL_95 * error
+    values, errors, log_odds = np.array([(value, error, 0.0), *others]).T
+    shares = softmax(log_odds)
+    far = 2.0 * NORMAL_95 * errors
+    first, last = float(np.min(values - far)), float(np.max(values + far))
+    if first == last:
+        return value, value
+    margin = 1e-9 * (last - first)
+
+    def end(side: float) -> float:
+        """Return where 2.5 % are left beyond, below (-1) or above (1)."""
+
+        def left(x: float) -> float:
+            beyond = side * (values - x)
+            sure = np.where(beyond >= 0.0, np.inf, -np.inf)
+            steps = np.divide(beyond, errors, out=sure, where=errors > 0.0)
+            return float(shares @ norm.cdf(steps)) - 0.5 * (1.0 - LEVEL)
+
+        return float(bisect(left, first - margin, last + margin, xtol=margin))
+
+    return end(-1.0), end(1.0)
 
 
 def on_a_bound(problem: Problem, hypothesis: Hypothesis, place: int) -> bool:
@@ -87,15 +153,21 @@ def on_a_bound(problem: Problem, hypothesis: Hypothesis, place: int) -> bool:
 
 
 def intervals_95(
-    problem: Problem, found: Hypothesis, place: int, errors: Array, trials: Sequence[Cause]
+    problem: Problem, found: Hypothesis, place: int, errors: Array, rivals: Sequence[Rival] = ()
 ) -> Intervals:
     """
     Return the intervals of the parameters of `found.causes[place]`.
 
-    `errors` are their standard errors, `trials` the same cause with other values that explain the logs
-    as well. One that was held at one of a few has no interval unless these differ in it.
+    `errors` are their standard errors, `rivals` other models: those with this cause tell of its values.
+    One that was held at one of a few has no interval.
     """
     cause = found.causes[place]
+    elsewhere = [
+        (one.log_odds, other.values, errors_by_name(problem, one.found))
+        for one in rivals
+        for other in one.found.causes
+        if other.name == cause.name
+    ]
     same = same_bits(problem, found, place)
     intervals: Intervals = {}
     first = sum(len(parameters_of(problem, one)) for one in found.causes[:place])
@@ -111,12 +183,15 @@ def intervals_95(
         if reach == 0.0 or problem.is_exact_limit(cause):
             low = min(low, _as_likely(problem, found, place, item, item.low))
             high = max(high, _as_likely(problem, found, place, item, item.high))
+        others = [
+            (values[item.name], theirs.get((cause.name, item.name), error), log_odds)
+            for log_odds, values, theirs in elsewhere
+            if item.name in values
+        ]
+        if others and math.isfinite(error):
+            ends = averaged(value, error, others)
+            low, high = min(low, ends[0]), max(high, ends[1])
         intervals[item.name] = (low, high)
-    for other in trials:
-        for name, value in other.values.items():
-            low, high = intervals.get(name, (cause.values[name], cause.values[name]))
-            if name in intervals or value != cause.values[name]:
-                intervals[name] = (min(low, value), max(high, value))
     return intervals
 
 

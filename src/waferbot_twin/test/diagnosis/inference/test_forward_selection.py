@@ -44,6 +44,7 @@ def test_several_causes_may_do_what_a_force_without_a_name_does(
 
     ahead, then = list(ahead), [effect(*names) for names in then]
     monkeypatch.setattr(forward_selection, 'with_last', lambda problem, found, name: found)
+    monkeypatch.setattr(forward_selection, 'is_nothing', lambda problem, cause: False)
     monkeypatch.setattr(
         forward_selection,
         'posterior_of',
@@ -83,6 +84,7 @@ def test_cogging_has_the_orders_that_show_beside_the_other_causes(
     fits = lambda base, items, known: [SimpleNamespace(causes=(friction, items[0].cause))]  # noqa: E731
     monkeypatch.setattr(forward_selection, 'measured_by_others', lambda problem: ['a log'])
     monkeypatch.setattr(forward_selection, 'with_last', lambda problem, found, name: found)
+    monkeypatch.setattr(forward_selection, 'is_nothing', lambda problem, cause: False)
     monkeypatch.setattr(forward_selection, 'evaluate', lambda problem, causes: None)
     monkeypatch.setattr(forward_selection, 'Refits', lambda problem, progress: fits)
     monkeypatch.setattr(forward_selection, 'log_odds_between', lambda pool, one, other: log_odds)
@@ -199,12 +201,13 @@ def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
         '_with_their_orders': lambda pool, found: found,
         '_begun_elsewhere': lambda pool, found: found,
         'some_of_each': lambda problem, *found: found,
+        'is_nothing': lambda problem, cause: False,
     }.items():  # fmt: skip
         monkeypatch.setattr(forward_selection, name, value)
     pool = SimpleNamespace(
         problem=None,
         settings=Settings(),
-        asked_beside=set(),
+        asked_beside={},
         usual=lambda: of('usual').causes,
         note_noise_of=lambda found: None,
     )

@@ -13,7 +13,12 @@ import pytest
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.diagnosis.inference import single_effects
-from waferbot_twin.diagnosis.inference.nuisance import LOGS, each_once, nuisance
+from waferbot_twin.diagnosis.inference.nuisance import (
+    LOGS,
+    each_once,
+    in_place_of_bounds,
+    nuisance,
+)
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, Posterior, SingleEffect
 from waferbot_twin.effects import find, places
@@ -122,6 +127,35 @@ def test_what_has_a_cause_does_not_deviate_besides(nominal):
     assert once.values == {**off.values, held: 0.0}
     (free,) = each_once(problem, (once,))
     assert free.held == ()
+
+
+def test_what_is_as_far_off_as_any_may_be_is_said_by_a_cause_of_the_same_number(nominal):
+    """At the value with which it says the same, and the number does not deviate besides."""
+    key = 'back_emf_lead_to_lead_v_s_m'
+    path = f'motors.y_linear.{key}'
+    _, known = nuisance(nominal, [], Settings())
+    number = next(item for item in known if item.path == path)
+    low, high = number.room
+    candidates = [
+        Cause(find(name), axis, find(name).typical(nominal, axis))
+        for name in ('force_constant', 'wrong_inertia', 'coulomb_friction')
+        for axis in find(name).axes(nominal)
+    ]
+    problem = SimpleNamespace(nominal=nominal)
+    for x in (low, high):
+        off = dense(nominal, [], **{path: x})
+        ((once, named),) = in_place_of_bounds(problem, (off,), candidates)
+        assert named.name == 'force_constant:y_linear'
+        assert once.held == (path,)
+        before, after = (apply_all(nominal, one) for one in ((off,), (once, named)))
+        one, other = (
+            places.plain(nominal, variant.machine['motors']['y_linear'][key])
+            for variant in (before, after)
+        )
+        assert other == pytest.approx(one)
+        assert not in_place_of_bounds(problem, (off, named), [named])
+    inside = dense(nominal, [], **{path: 0.99 * high})
+    assert in_place_of_bounds(problem, (inside,), candidates) == []
 
 
 BEARING = ('x_rotate_bearing_radial', 'x_rotate_bearing_y', 'x_rotate_bearing_z')

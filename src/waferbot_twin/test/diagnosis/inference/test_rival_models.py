@@ -67,6 +67,7 @@ def searched(monkeypatch):
             screen=lambda base: [screened],
             log_prior=lambda cause: 0.0,
             note_noise_of=lambda found: None,
+            rivals=[],
         )
         found, effects, asked = rival_models.beside_rival_models(pool, found, effects, most)
         names = [cause.name for cause in found.causes]

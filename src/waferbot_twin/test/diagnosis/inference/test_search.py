@@ -16,7 +16,8 @@ POOL = SimpleNamespace(
     settings=Settings(),
     names=['a'],
     workers=1,
-    asked_beside=set(),
+    asked_beside={},
+    rivals=[],
     begin=lambda base: None,
     note_noise_of=lambda found: None,
 )
@@ -49,7 +50,7 @@ def test_where_a_cause_has_gone_more_is_asked_for(monkeypatch, forward, left, as
 
     def ask_on(pool, found, effects, most, usual, as_a_whole):
         usual_were_there.append(usual)
-        pool.asked_beside.add(frozenset(cause.name for cause in found.causes))
+        pool.asked_beside[frozenset(cause.name for cause in found.causes)] = None
         wanted, times = forward.pop(0)
         return found, effects, [], wanted, times
 

@@ -20,11 +20,17 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.inference.nuisance import each_once, is_nuisance
-from waferbot_twin.diagnosis.inference.refit import Refits
+from waferbot_twin.diagnosis.inference.nuisance import (
+    each_once,
+    in_place_of_bounds,
+    is_nuisance,
+)
+from waferbot_twin.diagnosis.inference.refit import Refits, fitted
 from waferbot_twin.diagnosis.inference.settings import Settings
+from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
 from waferbot_twin.diagnosis.proposals.cogging_orders import (
     at_orders,
     has_orders,
@@ -105,7 +111,8 @@ class CandidatePool:
     `names` has every `effect:axis` among the candidates for a cause, once; `dense` is the effect of
     many small deviations, which is fitted each time: a linear problem says little of so many. `revised`
     are the effects that were asked for anew, each with the names of the causes beside it, and
-    `asked_beside` those beside which one effect more was asked for.
+    `asked_beside` those beside which one effect more was asked for, with what was answered where that
+    was not included; `rivals` are models that were weighed against the one that was found.
     """
 
     def __init__(
@@ -141,7 +148,8 @@ class CandidatePool:
         self._rings = Rings(problem, settings.most_refits, workers)
         self._damped: dict[_Beside, list[Screened]] = {}
         self.revised: set[tuple[str, frozenset[str]]] = set()
-        self.asked_beside: set[frozenset[str]] = set()
+        self.asked_beside: dict[frozenset[str], SingleEffect | None] = {}
+        self.rivals: list[Hypothesis] = []
 
     def log_prior(self, cause: Cause) -> float:
         """
@@ -196,6 +204,7 @@ class CandidatePool:
     def leave_out(self, name: str) -> None:
         """Take a candidate out: what was asked for may be another one without it."""
         self.asked_beside.clear()
+        self.rivals.clear()
         self._candidates = [cause for cause in self._candidates if cause.name != name]
         self._indistinct = [cause for cause in self._indistinct if cause.name != name]
         self.dense = [cause for cause in self.dense if cause.name != name]
@@ -207,6 +216,20 @@ class CandidatePool:
             if is_nuisance(cause) or cause.effect.name in LEAST_SQUARES:
                 first.setdefault(cause.name, cause)
         return tuple(first.values())
+
+    def in_place_of_bounds(self, base: Hypothesis) -> list[Hypothesis]:
+        """
+        Return the causes of `base` with one more, last, for a number that is as far off as any may be.
+
+        All fitted (`nuisance.in_place_of_bounds`); a linear problem does not see as far as they are.
+        """
+        first: dict[str, Cause] = {}
+        for cause in self._candidates:
+            first.setdefault(cause.name, cause)
+        every = in_place_of_bounds(self.problem, base.causes, list(first.values()))
+        pool = Parallel(n_jobs=self.workers if len(every) > 1 else 1)
+        found = pool(delayed(fitted)(self.problem, causes, near=base) for causes in every)
+        return [one for one in found if one is not None]
 
     def dense_beside(self, causes: Sequence[Cause]) -> tuple[Cause, ...]:
         """Return the dense effects that are not among some causes, without what these leave no say."""

@@ -20,7 +20,7 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, sign
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
 from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.feigned import beside_noise
-from waferbot_twin.diagnosis.inference.nuisance import each_once, is_damping
+from waferbot_twin.diagnosis.inference.nuisance import each_once, is_damping, is_nuisance
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
     Refits,
@@ -30,7 +30,6 @@ from waferbot_twin.diagnosis.inference.refit import (
     with_last,
     within_reach,
 )
-from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import (
     Member,
     SingleEffect,
@@ -100,14 +99,14 @@ def ask_on(
     """
     asked, sure, along = 0, list[SingleEffect](), set[str]()
     effects, tentative = list(effects), list[SingleEffect]()
-    beside = set[frozenset[str]]()
+    beside: dict[frozenset[str], SingleEffect | None] = {}
     while len(effects) + len(tentative) < pool.settings.most_causes and asked < most:
-        beside.add(frozenset(cause.name for cause in found.causes))
         effect = ask(pool, found)
         asked += 1
+        included = effect is not None and _included(effect, pool)
+        beside[frozenset(cause.name for cause in found.causes)] = None if included else effect
         if effect is None:
             break
-        included = _included(effect, pool.settings)
         if included and usual and is_discrepancy(effect.best.cause):
             named, instead, more = _by_names(pool, found, effect, most - asked)
             asked += more
@@ -118,8 +117,8 @@ def ask_on(
         best, odds = effect.best, effect.log_odds
         if not included:
             best, odds = _ahead(pool.problem, found, effect)
-            if odds <= 0.0:
-                break
+        if odds <= 0.0 or is_nothing(pool.problem, best.cause):
+            break
         causes = found.causes
         without_name = is_discrepancy(best.cause) and not usual
         if not without_name:
@@ -234,7 +233,7 @@ def _by_names(
     members = effect.members
     while True:
         own = posterior_of(there, [one for one in members if not is_discrepancy(one.cause)])
-        if own is None or not _included(own, pool.settings):
+        if own is None or not _included(own, pool):
             return [], base, asked
         chosen.append(own)
         there = fitted_together(pool, own.best.found, own.best.found.causes, there)
@@ -419,15 +418,30 @@ def some_of_each(
     return kept, effects, tentative
 
 
-def _included(effect: SingleEffect, settings: Settings) -> bool:
-    """Return whether an effect is in the model; where no log tells, odds are even but for rounding."""
-    return effect.inclusion > settings.included_from + ROUNDING
+def _included(effect: SingleEffect, pool: CandidatePool) -> bool:
+    """
+    Return whether an effect is in the model: more probable than not, and there is something of its best.
+
+    Where no log tells, odds are even but for rounding.
+    """
+    likely = effect.inclusion > pool.settings.included_from + ROUNDING
+    return likely and not is_nothing(pool.problem, effect.best.cause)
 
 
 def ask(pool: CandidatePool, base: Hypothesis) -> SingleEffect | None:
-    """Return the posterior of one more effect beside those of `base`; None if none could be fitted."""
-    screened = _promising(pool, pool.screen(base)) or _promising(pool, pool.damped_rings(base))
-    return posterior_beside(pool, base, screened)
+    """
+    Return the posterior of one more effect beside those of `base`; None if none could be fitted.
+
+    Where nothing is more probable than none by the linear problem, of what may be there all the same,
+    with 5 % (`Settings.credible_level`): values are averaged over that (`model_average`).
+    """
+    screened = pool.screen(base)
+    promising = _promising(pool, screened) or _promising(pool, pool.damped_rings(base))
+    if promising:
+        return posterior_beside(pool, base, promising)
+    least = -log_odds_at(pool.settings.credible_level)
+    others = _promising(pool, screened, least)
+    return posterior_beside(pool, base, others, also=pool.in_place_of_bounds(base))
 
 
 def posterior_beside(
@@ -435,12 +449,14 @@ def posterior_beside(
     base: Hypothesis,
     screened: Sequence[Screened],
     present: Hypothesis | None = None,
+    also: Sequence[Hypothesis] = (),
 ) -> SingleEffect | None:
     """
     Return the posterior of one effect, from fits of what the linear problem puts within reach.
 
     `present` has as its last cause what is there now, fitted with the others: from `base`, whose causes
-    have taken what they can of its work, a fit may not find back there. None if nothing could be fitted.
+    have taken what they can of its work, a fit may not find back there. `also` have candidates as their
+    last causes that were fitted otherwise. None if nothing could be fitted.
     """
     problem, settings = pool.problem, pool.settings
     chosen = within_reach(problem, screened, settings)
@@ -450,11 +466,11 @@ def posterior_beside(
         chosen += [untempered(cause, 0.0) for cause in dense]
     known = pool.signatures_of(base) if present is None else pool.signatures_of(present)[:-1]
     refitted = pool.refits(base, chosen, known)
-    refitted += [present] if present is not None else []
+    refitted += [*also, *([present] if present is not None else [])]
     refitted = [
         one
         for one in refitted
-        if not on_a_bound(problem, one, -1) and not is_nothing(problem, one.causes[-1])
+        if not on_a_bound(problem, one, -1) and _is_there(problem, one.causes[-1])
     ]
     members = [
         Member(
@@ -467,6 +483,13 @@ def posterior_beside(
     return posterior_of(base, members)
 
 
-def _promising(pool: CandidatePool, screened: Sequence[Screened]) -> list[Screened]:
-    """Return what the linear problem finds more probable than none in noise of known power."""
-    return [item for item in screened if item.likelihood + pool.log_prior(item.cause) > 0.0]
+def _is_there(problem: Problem, cause: Cause) -> bool:
+    """Return whether there is anything of a fitted cause, or, of a dense one, may be as well."""
+    return is_nuisance(cause) or not is_nothing(problem, cause)
+
+
+def _promising(
+    pool: CandidatePool, screened: Sequence[Screened], least: float = 0.0
+) -> list[Screened]:
+    """Return what the linear problem finds more probable than `least` in noise of known power, in ln."""
+    return [item for item in screened if item.likelihood + pool.log_prior(item.cause) > least]

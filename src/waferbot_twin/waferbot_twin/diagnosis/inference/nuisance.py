@@ -43,7 +43,7 @@ from waferbot_twin.estimation.hypothesis import (
     parameters_of,
     standard_errors,
 )
-from waferbot_twin.estimation.intervals import NORMAL_95
+from waferbot_twin.estimation.intervals import Rival, averaged
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.residuals.record import Record
 
@@ -289,8 +289,16 @@ def _scaled(variant: Variant, item: Number, ratio: float) -> Any:
     """Return what stands at a number's place, times a ratio."""
     if item.section == 'bodies' and item.key == 'inertia_kg_m2':
         return places.tensor_entries(variant.description.bodies[item.name].inertia * ratio)
-    entry = variant.machine[item.section][item.name]
-    return ratio * float(places.plain(variant, entry.get(item.key, 1.0)))
+    return ratio * _number_at(variant, item.path)
+
+
+def _number_at(variant: Variant, path: str) -> float:
+    """Return what a variant has at the path of a number; of an inertia the largest moment."""
+    section, rest = path.split('.', 1)
+    name, key = rest.rsplit('.', 1)
+    if section == 'bodies' and key == 'inertia_kg_m2':
+        return float(np.max(np.diag(variant.description.bodies[name].inertia)))
+    return float(places.plain(variant, variant.machine[section][name].get(key, 1.0)))
 
 
 def is_nuisance(cause: Cause) -> bool:
@@ -327,6 +335,51 @@ def each_once(problem: Problem, causes: Sequence[Cause]) -> tuple[Cause, ...]:
     return tuple(once(cause) if is_nuisance(cause) else cause for cause in causes)
 
 
+def _off(nominal: Variant, machine: Variant, item: Number) -> float:
+    """Return the x of equation (1) of a number, whatever in a machine is the cause of it."""
+    if item.section == LOGS:
+        return machine.between_s.get(item.name, 0.0)
+    before, after = (_number_at(one, item.path) for one in (nominal, machine))
+    return math.log(after / before) if item.is_damping else (after - before) / (before or 1.0)
+
+
+def in_place_of_bounds(
+    problem: Problem, causes: Sequence[Cause], candidates: Sequence[Cause]
+) -> list[tuple[Cause, ...]]:
+    """
+    Return causes with each candidate in place of a parameter that is as far off as (1) has any.
+
+    What is further off has a cause: one that changes the same number, here at the value with which it
+    says the same of that. From there a fit can follow it, and what made up for it, along which the logs
+    tell nothing.
+    """
+    nominal, there = problem.nominal, {cause.name for cause in causes}
+    on_bounds = {
+        item.name: cause.values[item.name]
+        for cause in causes
+        if is_nuisance(cause)
+        for item in parameters_of(problem, cause)
+        if cause.values[item.name] in (item.low, item.high) and not item.name.startswith(LOGS)
+    }
+    found = []
+    for rival in candidates if on_bounds else ():
+        for item in parameters_of(problem, rival) if rival.name not in there else ():
+            if item.shape:
+                continue
+            none = {one.name: one.neutral for one in parameters_of(problem, rival)}
+            full = rival.with_values({**none, item.name: item.typical})
+            changed = apply_all(nominal, [full])
+            for path, x in on_bounds.items():
+                before, after = (_number_at(one, path) for one in (nominal, changed))
+                if before == after:
+                    continue
+                share = before * x / (after - before)
+                value = item.neutral + share * (item.typical - item.neutral)
+                named = full.with_values({item.name: min(max(value, item.low), item.high)})
+                found.append(each_once(problem, (*causes, named)))
+    return found
+
+
 def _dampings_of_rigid(nominal: Variant, causes: Sequence[Cause]) -> set[str]:
     """
     Return the paths of the dampings which have no effect beside causes, as nothing gives there.
@@ -356,9 +409,16 @@ def _entries(variant: Variant) -> set[tuple[str, str]]:
     }
 
 
-def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> list[Correction]:
-    """Return the corrected parameters of a hypothesis, those that are furthest off first."""
+def corrections(
+    problem: Problem, found: Hypothesis, known: list[Number], rivals: Sequence[Rival] = ()
+) -> list[Correction]:
+    """
+    Return the corrected parameters of a hypothesis, those that are furthest off first.
+
+    Intervals are averages over the other models, `rivals`, where they are known no better than here.
+    """
     errors = standard_errors(found)
+    machines = [(apply_all(problem.nominal, one.found.causes), one.log_odds) for one in rivals]
     first, rows = 0, []
     for cause in found.causes:
         own = errors[first : first + cause.free]
@@ -368,10 +428,13 @@ def corrections(problem: Problem, found: Hypothesis, known: list[Number]) -> lis
         by_path = {item.path: item for item in known}
         for parameter, error in zip(parameters_of(problem, cause), own, strict=False):
             item, value = by_path[parameter.name], cause.values[parameter.name]
-            reach = NORMAL_95 * float(error)
+            others = [
+                (_off(problem.nominal, machine, item), float(error), log_odds)
+                for machine, log_odds in machines
+            ]
+            ends = averaged(value, float(error), others)
             found_there, low, high = (
-                corrected(item.value, x, item.is_damping)
-                for x in (value, value - reach, value + reach)
+                corrected(item.value, x, item.is_damping) for x in (value, *ends)
             )
             correction = Correction(
                 item.words,

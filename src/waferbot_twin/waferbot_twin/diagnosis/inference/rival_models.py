@@ -53,6 +53,7 @@ def beside_rival_models(
             )
             there, its_effects = evident(pool, there, own, tentative)
             left -= asked
+            pool.rivals += [there, found]
             log_odds = log_odds_between(pool, there, found)
             if log_odds > 0.0:
                 ahead = there, _beside(its_effects, there, found, -log_odds)

@@ -21,6 +21,7 @@ from waferbot_twin.diagnosis.inference.feigned import without_feigned
 from waferbot_twin.diagnosis.inference.flexible_model import or_flexible
 from waferbot_twin.diagnosis.inference.forward_selection import Found, as_fitted, ask_on
 from waferbot_twin.diagnosis.inference.load_model import or_other_loads
+from waferbot_twin.diagnosis.inference.model_average import open_models
 from waferbot_twin.diagnosis.inference.refit import fitted, to_the_end
 from waferbot_twin.diagnosis.inference.revision import ask_again
 from waferbot_twin.diagnosis.inference.rival_models import beside_rival_models
@@ -48,6 +49,7 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
     pool.note_noise_of(found)
     most = pool.settings.most_asked
     pool.asked_beside.clear()
+    pool.rivals.clear()
     usual = begun is not None
     while True:
         found, effects, tentative, wanted, asked = ask_on(
@@ -66,7 +68,8 @@ def infer(pool: CandidatePool, begun: Posterior | None = None) -> Posterior:
         found, effects, feigned = without_feigned(pool, found, effects)
         if not feigned:
             found = to_the_end(pool.problem, found, pool.workers)
-            return Posterior(nothing, found, tuple(effects), len(pool.names))
+            models = open_models(pool, found, effects)
+            return Posterior(nothing, found, tuple(effects), len(pool.names), models)
         for name in feigned:
             pool.leave_out(name)
 

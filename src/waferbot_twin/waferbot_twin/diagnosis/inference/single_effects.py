@@ -104,12 +104,17 @@ def squares_of(problem: Problem, found: Hypothesis, block: str, axis: str) -> fl
 
 @dataclass(frozen=True)
 class Posterior:
-    """All effects, and the hypothesis with the best of each in the same order; `nothing` without."""
+    """
+    All effects, and the hypothesis with the best of each in the same order; `nothing` without.
+
+    `models` are others that the logs leave open (`model_average`).
+    """
 
     nothing: Hypothesis
     found: Hypothesis
     effects: tuple[SingleEffect, ...]
     tried: int
+    models: tuple[Hypothesis, ...] = ()
 
     def share(self, problem: Problem, place: int, follows: Follows | None = None) -> float:
         """

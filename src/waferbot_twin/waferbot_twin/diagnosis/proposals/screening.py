@@ -58,7 +58,7 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
 )
 from waferbot_twin.noise_model.gram import spanning
-from waferbot_twin.noise_model.power import Power
+from waferbot_twin.noise_model.power import Power, WholePower
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
     log_likelihood_ratios_in,
@@ -529,6 +529,19 @@ class _Known:
         moving = self.held[:, _away(self.left, self.held, alone)]
         return np.asarray(moving @ spanning(moving.T @ moving))
 
+    def powers_along(self, left: Sequence[Array], changes: Sequence[Array]) -> list[Power]:
+        """
+        Return the power of the noise along changes, channel by channel, beside what is `left` over.
+
+        Of usual deviations there are few, and how large they are follows from themselves
+        (`residuals.prior_block`, equation (2)).
+        """
+        powers = powers_along(left, changes, self.colours)
+        return [
+            WholePower.of(one) if block == PRIOR else power
+            for (block, _), one, power in zip(self.places, left, powers, strict=True)
+        ]
+
     def split(self, rows: Array) -> list[Array]:
         """Return rows (N,) or (N, k) channel by channel."""
         return np.split(rows, np.cumsum([len(one) for one in self.before])[:-1])
@@ -587,7 +600,7 @@ class Gain:
         already: Sequence[float],
     ) -> Gain:
         """Take what is left over without and with the change, and what had been gained before."""
-        return cls.beside(powers_along(left, change, known.colours), before, left, already)
+        return cls.beside(known.powers_along(left, change), before, left, already)
 
     @classmethod
     def beside(
@@ -650,7 +663,7 @@ class _Linear:
         # Not what known causes could explain on their own, far from their best values.
         change = known.split(known.left - after)
         rest = known.split(after)
-        powers = powers_along(rest, change, known.colours)
+        powers = known.powers_along(rest, change)
         power = together(powers, change)
         first = [part[:, 0] for part in known.split(rows)]
         moved = [one + part for one, part in zip(known.before, first, strict=True)]
