@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import pytest
+
 from waferbot_twin.diagnosis.inference import revision
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 
@@ -45,3 +47,22 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
     assert {one.best.cause.name for one in left} == {'first', 'another', 'third'}
     assert asked == 4
     assert revision.ask_again(pool, found, left, 24) == (found, left, 0)
+
+
+@pytest.mark.parametrize(('rivals', 'left'), [([], ['friction']), (None, ['friction', 'drag'])])
+def test_what_no_other_candidate_can_do_any_more_is_that_cause_alone(monkeypatch, rivals, left):
+    """Unless the machine does not stand without it: then nobody knows."""
+    monkeypatch.setattr(revision, 'with_last', lambda problem, found, name: found)
+    pool = SimpleNamespace(problem=None, in_place_of=lambda present: rivals, revised=set())
+    members = [
+        Member(hypothesis(name), 1.0, 0.0, p) for name, p in (('friction', 0.5), ('drag', 0.4))
+    ]
+    both = [
+        SingleEffect(tuple(members), 0.1),
+        SingleEffect((Member(hypothesis('gain'), 9.0, 0.0, 1.0),), 1e-3),
+    ]
+    _, effects, asked = revision.ask_again(pool, hypothesis('friction', 'gain'), both, 24)
+    assert [one.cause.name for one in effects[0].members] == left
+    assert effects[0].inclusion == pytest.approx(0.9)
+    assert asked == 0
+    assert len(both[0].members) == 2

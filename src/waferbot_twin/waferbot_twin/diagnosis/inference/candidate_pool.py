@@ -314,19 +314,20 @@ class CandidatePool:
             self.workers,
         )
 
-    def in_place_of(self, found: Hypothesis) -> list[Screened]:
+    def in_place_of(self, found: Hypothesis) -> list[Screened] | None:
         """
         Return what could be in place of the last cause of a hypothesis, with linear fits, best first.
 
         That is what gains what the cause does, in the linear problem beside the others
         (`screening.alike`). What each changes is found beside these, of all that may be alike: two that
-        do the same there may not in the nominal model, by which that is asked first.
+        do the same there may not in the nominal model, by which that is asked first. None if the machine
+        does not stand without the cause: nobody knows then.
         """
         problem, of_others = self.problem, self.signatures_of(found)[:-1]
         try:
             base = evaluate(problem, found.causes[:-1])
-        except UserError:  # the machine does not stand without it
-            return []
+        except UserError:
+            return None
         rivals, same = self._similar(base, found), self._same_beside(base, found.causes[-1])
         changes = signatures(problem, base, [*rivals, *same], self.workers, self.progress)
         by_rival = dict(zip(map(id, (*rivals, *same)), changes, strict=True))

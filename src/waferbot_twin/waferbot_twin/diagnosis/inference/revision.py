@@ -23,11 +23,12 @@ def ask_again(
     Ask for every effect anew beside all others until none changes, so many times at `most`.
 
     Beside the same others each is asked for once in a whole search (`CandidatePool.revised`). Which one
-    it is, that is: what no other candidate can do in its place stays as it is. Whether there is any is
-    left to elimination, before or, if anything is another one, in the end; so the model without an
-    effect may be the one that the linear problem has. Return how often was asked, too.
+    it is, that is: what no other candidate can do in its place is that one, whatever else might have
+    been beside fewer causes. Whether there is any is left to elimination, before or, if anything is
+    another one, in the end; so the model without an effect may be the one that the linear problem has.
+    Return how often was asked, too.
     """
-    left, moved = most, False
+    left, moved, effects = most, False, list(effects)
     for _ in range(PASSES if len(effects) > 1 else 0):
         changed = False
         for effect in list(effects):
@@ -40,7 +41,9 @@ def ask_again(
             pool.revised.add((name, others))
             present = with_last(pool.problem, found, name)
             rivals = pool.in_place_of(present)
+            place = next(number for number, one in enumerate(effects) if one is effect)
             if not rivals:
+                effects[place] = effect if rivals is None else _alone(effect)
                 continue
             left -= 1
             try:
@@ -50,7 +53,6 @@ def ask_again(
             again = posterior_beside(pool, base, rivals, present)
             if again is None:
                 continue
-            place = next(number for number, one in enumerate(effects) if one is effect)
             rest = [*effects[:place], *effects[place + 1 :]]
             again = with_odds(again, log_odds_at(effect.inclusion))
             if again.best.cause.name != name:
@@ -67,3 +69,8 @@ def ask_again(
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects, most - left
+
+
+def _alone(effect: SingleEffect) -> SingleEffect:
+    """Return an effect with its best member alone, as probable as before that there is any."""
+    return with_odds(SingleEffect((effect.best,), effect.none), effect.log_odds)
