@@ -306,6 +306,29 @@ def test_a_fit_ends_where_the_likelihood_is_flat_and_not_the_slope_over_a_usual_
     assert error == pytest.approx(1e-3 / float(np.linalg.norm(slope)), rel=0.15)
 
 
+@pytest.mark.parametrize('offset_low', [-10.0, 0.0])
+def test_a_fit_says_what_another_one_may_gain(offset_low):
+    """Next to nothing at its end, also at a bound; and on the way what the linear problem promises."""
+    print(f'seed {SEED}')
+    noise = 0.05 * np.random.default_rng(SEED).standard_normal(len(TIME_S))
+    problem, causes = Decay(model(20.0, 9.0, -0.5) + noise), decay_causes(offset_low)
+    best = fit_causes(problem, causes, rounds=40, enough=1e-9)
+    assert best.promised < gauss_newton.ENOUGH
+    near = tuple(
+        cause.with_values({'value': cause.values['value'] + more})
+        for cause, more in zip(best.causes, (0.1, 0.0, 0.0), strict=True)
+    )
+    begun = gauss_newton.evaluate(problem, near)
+    found = gauss_newton._with_covariance(
+        problem, begun, gauss_newton.all_signatures(problem, begun)
+    )
+    before, after = (float(np.sum(one.residuals[PLANT][0] ** 2)) for one in (begun, best))
+    by_hand = (
+        0.5 * len(TIME_S) * (before - after) / before
+    )  # in noise as large as what is left over
+    assert found.promised == pytest.approx(by_hand, rel=0.01)
+
+
 @pytest.mark.parametrize('told', [(), ('amplitude',), ('amplitude', 'rate', 'offset')])
 def test_where_a_fit_has_told_how_far_to_go_signatures_are_not_found_twice(monkeypatch, told):
     """Only those of which nothing is known are found anew after the first step; the fit is the same."""

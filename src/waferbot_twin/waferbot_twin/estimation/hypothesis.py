@@ -30,6 +30,7 @@ class Hypothesis:
 
     And the curvature (k, k) with which they were fitted, A' A of white signatures and the precision
     of their prior: the inverse of the covariance if all noise were as assumed. Both empty before a fit.
+    `promised` is by how much more probable, in ln, other values may be by the linear problem.
     """
 
     causes: tuple[Cause, ...]
@@ -37,6 +38,7 @@ class Hypothesis:
     fits: dict[str, Fit]
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     curvature: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    promised: float = math.inf
 
     @property
     def log_likelihood(self) -> float:

@@ -223,6 +223,7 @@ def joined(problem: Problem, parts: Sequence[tuple[Sequence[int], Hypothesis]]) 
         {b: part.fits[b] for b in problem.blocks for _, part in parts if b in part.fits},
         covariance,
         curvature,
+        sum(part.promised for places, part in parts if places),
     )
 
 

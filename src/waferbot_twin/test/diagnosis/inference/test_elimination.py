@@ -216,12 +216,14 @@ def test_another_fit_is_made_where_it_may_change_the_answer(monkeypatch, gained,
         assert (known or begun).keys() == {cause.name for cause in found.causes}
         assert bool(known) == (not made)
         assert bool(roughly) == (len(made) == 1)
-        made.append(SimpleNamespace(causes=(f'fit {len(made)}',), evidence=evidence[len(made)]))
+        promised = gained.pop(0) if made and gained else 100.0
+        own = {'evidence': evidence[len(made)], 'promised': promised}
+        made.append(SimpleNamespace(causes=(f'fit {len(made)}',), **own))
         return made[-1]
 
     monkeypatch.setattr(elimination, 'without', without)
     monkeypatch.setattr(elimination, 'without_by_linear', lambda problem, found, name: 'begun')
-    monkeypatch.setattr(elimination, 'gain', lambda one, other: gained.pop(0) if gained else 100.0)
+    monkeypatch.setattr(elimination, 'gain', lambda one, other: gained.pop(0))
     monkeypatch.setattr(elimination, 'log_evidence', lambda p, more, fewer, *_: fewer.evidence)
     pool = SimpleNamespace(
         **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from waferbot_lockstep.timing import Timing
@@ -15,7 +16,7 @@ from waferbot_twin.diagnosis.proposals.screening import at_its_sizes
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.gauss_newton import all_signatures
-from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.estimation.hypothesis import evaluate, parameters_of
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.closed_loop_record import run_commanded
 from waferbot_twin.residuals.from_recording import record_of_signals
@@ -65,6 +66,30 @@ def test_what_is_free_again_without_a_cause_is_fitted_though_signatures_are_know
     (left,) = refit.without(problem, found, [cause.name], 1, known).causes
     assert left.held == ()
     assert rounds == [(not frees, refit.TO_CONVERGENCE if frees else refit.ROUNDS)]
+
+
+def test_of_what_is_held_without_a_cause_the_columns_go():
+    """Without what gives its damping says nothing: signatures of the others are known as before."""
+    nominal = Variant.of(load_model('rigid'))
+    (_, dampings), _ = nuisance(nominal, [], Settings())
+    effect = find('cable_compliance')
+    cause = Cause(effect, 'y_linear', effect.typical(nominal, 'y_linear'))
+    dense = Cause(dampings, 'y_linear', dampings.typical(nominal, 'y_linear'))
+    problem = Problem(nominal, [])
+    both = each_once(problem, (cause, dense))
+    (alone,) = each_once(problem, (dense,))
+    free = [item.name for item in parameters_of(problem, both[1])]
+    assert free
+    matrix = np.arange(6.0 * len(free)).reshape(6, len(free))
+    known = {cause.name: {'plant': np.ones((6, 1))}, dense.name: {'plant': matrix}}
+    kept = refit._of_free(problem, both, (alone,), known)
+    left = [free.index(item.name) for item in parameters_of(problem, alone)]
+    assert len(left) < len(free)
+    np.testing.assert_array_equal(kept[dense.name]['plant'], matrix[:, left])
+    assert (
+        refit._of_free(problem, (alone,), both[1:], {dense.name: {'plant': matrix[:, left]}}) == {}
+    )
+    assert refit._of_free(problem, both, (alone,), None) is None
 
 
 @pytest.mark.parametrize(('true', 'start'), [(0.3, 3.0), (1.0, 10.0), (3.0, 0.3)])

@@ -159,8 +159,9 @@ def odds_beside(
     The signatures of `found` hold near it, so the first fit without the cause has these and costs few
     simulations. Another one goes on from there and ends with its own, first roughly, so that what it
     ends with is no less likely. It is not made where the odds are too low for the model already, nor
-    where as much again as the last one gained would not make them too low for a name. With `parts` by
-    what parts of the logs agree on (`estimation.evidence.gain`).
+    where what may yet be gained would not make them too low for a name: as much again as the first one
+    gained, or what the linear problem promises with the signatures of the last (`Hypothesis`). With
+    `parts` by what parts of the logs agree on (`estimation.evidence.gain`).
     """
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
@@ -170,10 +171,9 @@ def odds_beside(
         gained = gain(more, base, parts=True) if parts else None
         return log_evidence(problem, more, base, scales, gained) + prior
 
-    def is_plain(odds: float, base: Hypothesis, before: Hypothesis) -> bool:
-        again = max(gain(base, before), 0.0)
+    def is_plain(odds: float, more: float) -> bool:
         too_low = odds <= log_odds_at(pool.settings.included_from)
-        return too_low or odds - again > log_odds_at(pool.settings.named_from)
+        return too_low or odds - more > log_odds_at(pool.settings.named_from)
 
     signatures = signatures_by_name(pool, found)
     begun: Hypothesis | None = None
@@ -181,7 +181,7 @@ def odds_beside(
         start = without_by_linear(problem, found, name)
         begun = without(problem, found, [name], pool.workers, signatures)
         odds = odds_against(begun)
-        if is_plain(odds, begun, start):
+        if is_plain(odds, max(gain(begun, start), 0.0)):
             return odds, begun
     except UserError:  # the machine does not stand where that begins
         pass
@@ -191,7 +191,7 @@ def odds_beside(
             problem, found, [name], pool.workers, None, first, begun=signatures, roughly=roughly
         )
         odds = odds_against(base)
-        if begun is not None and is_plain(odds, base, begun):
+        if is_plain(odds, base.promised):
             break
         begun = base
     return odds, base

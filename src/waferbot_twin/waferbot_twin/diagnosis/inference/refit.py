@@ -220,8 +220,10 @@ def without(
         problem, others_without(problem, found, names), as_they_are
     )
     once = each_once(problem, start)
-    if once != start:  # what is free now has no column in a signature that is known
+    known = _of_free(problem, found.causes, once, known)
+    if known and len(known) < len(once):  # what is free now has no column in a signature
         known = None
+    begun = _of_free(problem, found.causes, once, begun)
     rounds = ROUNDS if known else TO_CONVERGENCE
     try:
         if once != start or len(places) > 1:
@@ -238,6 +240,30 @@ def without(
         )
     except UserError:
         return evaluate(problem, as_they_are)
+
+
+def _of_free(
+    problem: Problem,
+    before: Sequence[Cause],
+    now: Sequence[Cause],
+    known: Mapping[str, Signature] | None,
+) -> dict[str, Signature] | None:
+    """
+    Return the signatures of causes, by name, of which parameters may be held now that were free before.
+
+    Without those of which one is free now that was held: nobody knows what it changes.
+    """
+    if not known:
+        return None
+    free = {cause.name: [item.name for item in parameters_of(problem, cause)] for cause in before}
+    found = {}
+    for cause in now:
+        names = [item.name for item in parameters_of(problem, cause)]
+        if set(names) <= set(free[cause.name]):
+            columns = [free[cause.name].index(name) for name in names]
+            own = known[cause.name]
+            found[cause.name] = {block: matrix[:, columns] for block, matrix in own.items()}
+    return found
 
 
 def _more_probable(
