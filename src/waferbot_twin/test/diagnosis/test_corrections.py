@@ -37,12 +37,14 @@ def told(nominal, x, error):
     mass = next(item.value for item in known if item.path == PATH)
     ends = (mass * (1.0 + x + side * NORMAL_95 * error) for side in (-1.0, 1.0))
     correction = Correction('mass of y_linear', PATH, 'kg', mass, mass * (1.0 + x), *ends)
+    errors = [error if item.name == PATH else 0.0 for item in effect.parameters(nominal, axis)]
     diagnosis = SimpleNamespace(
         problem=SimpleNamespace(nominal=nominal),
-        after=SimpleNamespace(causes=(cause,)),
+        after=SimpleNamespace(causes=(cause,), covariance=np.diag(np.square(errors))),
         corrections=[correction],
     )
-    prior = SPREAD * math.sqrt((KNOWN_FROM + (x / SPREAD) ** 2) / (KNOWN_FROM + len(values)))
+    squares = (x**2 + error**2) / SPREAD**2
+    prior = SPREAD * math.sqrt((KNOWN_FROM + squares) / (KNOWN_FROM + len(values)))
     (item,) = stated(diagnosis)
     return mass, prior, item
 

@@ -3,13 +3,9 @@
 Parameters that every machine has a little different from its model: corrected, but no cause.
 
 A parameter p = p_0 + c x, or p_0 exp(x), has the usual spread s of x as its prior, and cannot be
-further off than that of its bounds (`inference.nuisance`, equation (1)). Its interval ends there. The
-prior of all n together is Student's t: what the spreads of this machine are, as a multiple of the usual
-ones, follows from all of them,
-
-    k^2 = (nu + sum of (x / s)^2) / (nu + n),                                                     (1)
-
-nu of `residuals.prior_block`. Where logs tell nothing of a parameter, its standard error is that of the
+further off than that of its bounds (`inference.nuisance`, equation (1)). Its interval ends there. What
+the spreads of this machine are, as a multiple k of the usual ones, follows from all of them
+(`estimation.usual_spread`). Where logs tell nothing of a parameter, its standard error is that of the
 prior, k s.
 """
 
@@ -22,7 +18,7 @@ from typing import TYPE_CHECKING
 from waferbot_twin.diagnosis.findings import lies_on_bound
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.estimation.intervals import NORMAL_95
-from waferbot_twin.residuals.prior_block import KNOWN_FROM
+from waferbot_twin.estimation.usual_spread import scales_of_spread
 
 if TYPE_CHECKING:
     from waferbot_twin.diagnosis.diagnose import Diagnosis
@@ -75,10 +71,9 @@ def stated(diagnosis: Diagnosis) -> list[StatedCorrection]:
         for item in cause.effect.parameters(diagnosis.problem.nominal, cause.axis)
         if item.spread > 0.0
     }
-    squares = sum((value / item.spread) ** 2 for item, value in known.values())
-    scale = math.sqrt((KNOWN_FROM + squares) / (KNOWN_FROM + len(known)))
+    scales = scales_of_spread(diagnosis.problem, diagnosis.after)
     return [
-        _stated(correction, *known[correction.path], scale)
+        _stated(correction, *known[correction.path], scales[correction.path])
         if correction.path in known
         else StatedCorrection(correction, correction.low, correction.high, True, False)
         for correction in diagnosis.corrections
@@ -94,7 +89,7 @@ def stated_accelerations(diagnosis: Diagnosis) -> list[StatedCorrection]:
 
 
 def _stated(correction: Correction, item: Parameter, x: float, scale: float) -> StatedCorrection:
-    """Return a correction whose x of (1) has a value; `scale` is the k of (1)."""
+    """Return a correction whose x has a value; `scale` is the k of its prior."""
     nominal, to_a_factor = correction.nominal, correction.to_a_factor
     ends = sorted(corrected(nominal, end, to_a_factor) for end in (item.low, item.high))
     if to_a_factor:

@@ -55,6 +55,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, Rival, intervals_95
 from waferbot_twin.estimation.known_values import Known
+from waferbot_twin.estimation.usual_spread import with_usual_spread
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.observer_bandwidth import with_observers
 from waferbot_twin.residuals.problem import UNITS, Cause, Problem, apply_all
@@ -228,6 +229,7 @@ def diagnose(
         notes.append(said.LOSES)
     rivals = rivals_of(pool, posterior.found, models, [one.name for one in withdrawn])
     problem, posterior = _in_fine_steps(problem, posterior, workers)
+    posterior = replace(posterior, found=with_usual_spread(problem, posterior.found))
     updated, told = with_known(problem, posterior.found, known or {}, numbers)
     posterior = replace(posterior, found=updated)
     follows = follows_command(problem, posterior, settings)

@@ -28,7 +28,13 @@ def names_of(models):
 
 
 def pool(**values):
-    return SimpleNamespace(settings=Settings(), **{'asked_beside': {}, 'rivals': [], **values})
+    own = {'asked_beside': {}, 'rivals': [], 'problem': None, **values}
+    return SimpleNamespace(settings=Settings(), **own)
+
+
+@pytest.fixture(autouse=True)
+def as_fitted(monkeypatch):
+    monkeypatch.setattr(model_average, 'with_usual_spread', lambda problem, found: found)
 
 
 def test_members_of_a_set_have_a_say_where_they_were_fitted_beside_the_same_causes():

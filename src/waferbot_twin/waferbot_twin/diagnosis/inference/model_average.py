@@ -20,6 +20,7 @@ from waferbot_twin.diagnosis.inference.forward_selection import log_odds_between
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.estimation.intervals import Rival
+from waferbot_twin.estimation.usual_spread import with_usual_spread
 
 
 def open_models(
@@ -60,7 +61,8 @@ def rivals_of(
         names = _names(model)
         if names == _names(found) or not names.isdisjoint(refuted):
             continue
-        rival = Rival(model, log_odds_between(pool, model, found))
+        log_odds = log_odds_between(pool, model, found)
+        rival = Rival(with_usual_spread(pool.problem, model), log_odds)
         before = rivals.get(names)
         if rival.log_odds > least and (before is None or rival.log_odds > before.log_odds):
             rivals[names] = rival
