@@ -186,6 +186,8 @@ def test_what_came_along_stays_only_if_the_logs_want_it_back_itself(judged):
     assert asked == ['one:x', 'two:x', 'three:x']  # least evident first, four was asked for before
     assert left[0].inclusion == pytest.approx(1.0 / (1.0 + np.exp(-12.0)))
     assert left[1].inclusion == pytest.approx(left[0].inclusion)  # more evident than the first
+    # What was judged itself has that evidence, what was asked for before its own.
+    assert [one.best.log_odds for one in left] == [12.0, four.best.log_odds, 17.0]
 
 
 @pytest.mark.parametrize(

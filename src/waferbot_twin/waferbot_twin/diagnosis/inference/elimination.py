@@ -92,6 +92,7 @@ def evident(
         open_ones.discard(name)
         if odds > limit and name not in on_bounds:
             odds_of[name] = odds
+            left = [one.as_judged(odds) if one.best.cause.name == name else one for one in left]
             asked = {one for one in open_ones if by_linear[one] > limit}
             asked -= {one.best.cause.name for one in tentative}
             odds_of |= {

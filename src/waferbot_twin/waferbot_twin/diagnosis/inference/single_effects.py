@@ -78,6 +78,11 @@ class SingleEffect:
             return math.inf
         return math.log(self.inclusion / self.none) if self.inclusion else -math.inf
 
+    def as_judged(self, log_odds: float) -> SingleEffect:
+        """Return the effect with ln BF of its best member by the odds of that beside all others."""
+        best = replace(self.best, log_evidence=log_odds - self.best.log_prior)
+        return replace(self, members=(best, *self.members[1:]))
+
     def credible_set(self, level: float) -> tuple[Member, ...]:
         """Return the fewest candidates that hold the effect with this probability, if there is one."""
         total, chosen = 0.0, []
