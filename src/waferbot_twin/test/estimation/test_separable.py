@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 
 import numpy as np
 import pytest
 
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.gauss_newton import fit_causes
+from waferbot_twin.estimation.gauss_newton import ENOUGH, fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate
 from waferbot_twin.estimation.separable import (
     Behind,
@@ -136,6 +137,15 @@ def test_one_cause_less_is_fitted_where_it_was(problem):
     together = fit_causes(problem, causes('mass', 'gain'))
     assert fewer.log_likelihood == pytest.approx(together.log_likelihood, abs=0.05)
     np.testing.assert_allclose(fewer.covariance, together.covariance, rtol=0.05, atol=1e-8)
+
+
+def test_a_fit_in_parts_promises_what_they_do_together(problem):
+    """What was fitted to its end promises next to nothing, also where a part was left as it was."""
+    found = fitted_apart(problem, causes('mass', 'offset', 'gain'))
+    assert 0.0 <= found.promised < ENOUGH
+    fewer = fitted_without(problem, found, 2)
+    assert 0.0 <= fewer.promised < 2.0 * ENOUGH
+    assert evaluate(problem, causes('mass')).promised == math.inf
 
 
 def test_a_rough_fit_is_brought_to_its_end(problem):

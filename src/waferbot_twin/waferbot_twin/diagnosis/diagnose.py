@@ -227,7 +227,8 @@ def diagnose(
     notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
-    rivals = rivals_of(pool, posterior.found, models, [one.name for one in withdrawn])
+    gone = [one.name for one in (*refuted, *extension.withdrawn)]
+    rivals = rivals_of(pool, posterior.found, models, gone)
     problem, posterior = _in_fine_steps(problem, posterior, workers)
     posterior = replace(posterior, found=with_usual_spread(problem, posterior.found))
     updated, told = with_known(problem, posterior.found, known or {}, numbers)

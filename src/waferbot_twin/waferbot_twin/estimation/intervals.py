@@ -94,8 +94,9 @@ def averaged(
     Return the ends of the 95 % interval of a value by equation (1).
 
     `error` is its standard error in the model that was found; `others` are value, standard error and ln
-    of the odds of each other model against that one.
+    of the odds of each other model against that one. One in which nobody knows the error has no say.
     """
+    others = [one for one in others if math.isfinite(one[1])]
     if not others:
         return value - NORMAL_95 * error, value + NORMAL_95 * error
     values, errors, log_odds = np.array([(value, error, 0.0), *others]).T

@@ -183,7 +183,11 @@ def fitted_without(
 def part_of(
     problem: Problem, hypothesis: Hypothesis, places: Sequence[int], blocks: frozenset[str]
 ) -> Hypothesis:
-    """Return what a hypothesis says of some of its causes and of some blocks."""
+    """
+    Return what a hypothesis says of some of its causes and of some blocks.
+
+    It promises no more than the whole does.
+    """
     own = _parameters_at(problem, hypothesis.causes, places)
     count = _count(problem, hypothesis.causes)
 
@@ -196,6 +200,7 @@ def part_of(
         {block: one for block, one in hypothesis.fits.items() if block in blocks},
         of_own(hypothesis.covariance),
         of_own(hypothesis.curvature),
+        hypothesis.promised,
     )
 
 

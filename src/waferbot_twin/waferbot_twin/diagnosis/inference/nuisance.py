@@ -368,9 +368,12 @@ def in_place_of_bounds(
                 continue
             none = {one.name: one.neutral for one in parameters_of(problem, rival)}
             full = rival.with_values({**none, item.name: item.typical})
-            changed = apply_all(nominal, [full])
             for path, x in on_bounds.items():
-                before, after = (_number_at(one, path) for one in (nominal, changed))
+                try:
+                    changed = apply_all(nominal, [full])
+                    before, after = (_number_at(one, path) for one in (nominal, changed))
+                except UserError:  # there is no machine with so much of it
+                    continue
                 if before == after:
                     continue
                 share = before * x / (after - before)
