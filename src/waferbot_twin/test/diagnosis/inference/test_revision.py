@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from waferbot_twin.diagnosis.inference import revision
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 
 
@@ -27,6 +28,8 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
         told.append(name)
         return effect_of(hypothesis('another') if name == 'second' else present)
 
+    monkeypatch.setattr(revision, 'is_discrepancy', lambda cause: False)
+
     def with_last(problem, found, name):
         names = sorted((cause.name for cause in found.causes), key=lambda one: one == name)
         return hypothesis(*names)
@@ -39,7 +42,9 @@ def test_beside_the_same_others_an_effect_is_asked_for_once(monkeypatch):
     monkeypatch.setattr(revision, 'posterior_beside', posterior)
     monkeypatch.setattr(revision, 'fitted_together', fitted_on)
     monkeypatch.setattr(revision, 'evident', lambda pool, found, effects: (found, list(effects)))
-    pool = SimpleNamespace(problem=None, in_place_of=lambda present: ['a rival'], revised=set())
+    pool = SimpleNamespace(
+        problem=None, in_place_of=lambda present: ['a rival'], revised=set(), settings=Settings()
+    )
     names = ('first', 'second', 'third')
     effects = [effect_of(hypothesis(name)) for name in names]
     found, left, asked = revision.ask_again(pool, hypothesis(*names), effects, 24)
@@ -66,3 +71,27 @@ def test_what_no_other_candidate_can_do_any_more_is_that_cause_alone(monkeypatch
     assert effects[0].inclusion == pytest.approx(0.9)
     assert asked == 0
     assert len(both[0].members) == 2
+
+
+@pytest.mark.parametrize(
+    ('ahead', 'probability', 'best'),
+    [
+        ('force_over_velocity', 0.39, 'rise'),
+        ('force_over_velocity', 0.04, 'force_over_velocity'),
+        ('drag', 0.39, 'drag'),
+    ],
+)
+def test_a_force_without_a_name_takes_no_place_of_what_may_be_it(
+    monkeypatch, ahead, probability, best
+):
+    monkeypatch.setattr(
+        revision, 'is_discrepancy', lambda cause: cause.name == 'force_over_velocity'
+    )
+    members = [
+        Member(hypothesis(name), 9.0, 0.0, p)
+        for name, p in ((ahead, 1.0 - probability), ('rise', probability))
+    ]
+    effect = SingleEffect(tuple(members), 0.0)
+    judged = revision._not_without_a_name(effect, 'rise', Settings())
+    assert judged.best.cause.name == best
+    assert sorted(map(id, judged.members)) == sorted(map(id, effect.members))

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
+from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
 from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
 from waferbot_twin.diagnosis.inference.forward_selection import fitted_together, posterior_beside
 from waferbot_twin.diagnosis.inference.refit import with_last
+from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear
 from waferbot_twin.estimation.hypothesis import Hypothesis
@@ -55,6 +59,7 @@ def ask_again(
                 continue
             rest = [*effects[:place], *effects[place + 1 :]]
             again = with_odds(again, log_odds_at(effect.inclusion))
+            again = _not_without_a_name(again, name, pool.settings)
             if again.best.cause.name != name:
                 changed = True
                 pool.revised.add((again.best.cause.name, others))
@@ -69,6 +74,23 @@ def ask_again(
     by_name = {cause.name: place for place, cause in enumerate(found.causes)}
     effects.sort(key=lambda effect: by_name[effect.best.cause.name])
     return found, effects, most - left
+
+
+def _not_without_a_name(effect: SingleEffect, name: str, settings: Settings) -> SingleEffect:
+    """
+    Return an effect with what is there (`name`) as its best where only a force without a name is ahead.
+
+    And where what is there may be it, with 5 % (`Settings.credible_level`). A force without a name is
+    what no cause explains; with it in the model, what else goes over speed or position is not evident
+    any more.
+    """
+    there = next((one for one in effect.members if one.cause.name == name), None)
+    if there is None or not is_discrepancy(effect.best.cause):
+        return effect
+    if there.probability < (1.0 - settings.credible_level) * effect.inclusion:
+        return effect
+    others = tuple(one for one in effect.members if one is not there)
+    return replace(effect, members=(there, *others))
 
 
 def _alone(effect: SingleEffect) -> SingleEffect:
