@@ -94,6 +94,22 @@ def test_intervals_hold_what_the_logs_do_not_tell():
     assert before / total < normal - 0.05
 
 
+@pytest.mark.parametrize('more', [0.7, 1.4, 3.0])
+def test_what_is_not_told_is_known_as_well_as_before_whatever_a_rough_fit_has_of_its_prior(more):
+    """Never less: a covariance that has the prior `more` often than its values say made it endless."""
+    away = np.array([2.0 * SPREAD] * 4 + [0.0] * 8)
+    error = np.array([1e-4] * 4 + [np.inf] * 8)
+    rough = fitted(away, error)
+    told = np.diag(rough.covariance).copy()
+    told[4:] *= more
+    found = with_usual_spread(Known(), Hypothesis(rough.causes, {}, {}, np.diag(told)))
+    k = scales_of_spread(Known(), found)['p0']
+    errors = np.sqrt(np.diag(found.covariance))
+    assert (errors <= k * SPREAD * (1.0 + 1e-6)).all()
+    assert k**2 <= (KNOWN_FROM + 16.0) / (KNOWN_FROM + 4.0) * (1.0 + 1e-4)
+    assert errors[:4] == pytest.approx(1e-4, rel=1e-2)
+
+
 def test_without_a_fit_or_without_such_parameters_nothing_changes():
     nothing = Hypothesis((), {}, {})
     assert with_usual_spread(Known(), nothing) is nothing

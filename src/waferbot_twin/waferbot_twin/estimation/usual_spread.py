@@ -45,7 +45,7 @@ def with_usual_spread(problem: Problem, found: Hypothesis) -> Hypothesis:
         inverse[row, group.places] = group.spreads**-2.0
         # As the fit had it: of the most probable values, those that are held among them.
         scales[row] = (KNOWN_FROM + group.squares) / (KNOWN_FROM + group.every)
-    logs = information_of_logs(found.covariance, scales**-1.0 @ inverse)
+    logs = _not_negative(information_of_logs(found.covariance, scales**-1.0 @ inverse))
     for _ in range(ROUNDS if groups else 0):
         covariance = posterior_covariance(logs, scales**-1.0 @ inverse)
         last, scales = scales, np.array([group.square_of_scale(covariance) for group in groups])
@@ -53,6 +53,19 @@ def with_usual_spread(problem: Problem, found: Hypothesis) -> Hypothesis:
         if np.all(np.abs(scales - last) <= ENOUGH * scales):
             break
     return found
+
+
+def _not_negative(information: Array) -> Array:
+    """
+    Return what logs say (k, k) without directions of which they say less than nothing.
+
+    A fit that is not at its end has a little more or less of the prior in its covariance than its
+    values say.
+    """
+    diagonal = np.diag(information)
+    unit = np.sqrt(np.where(diagonal > 0.0, diagonal, np.max(diagonal, initial=1e-300)))
+    size, directions = np.linalg.eigh(information / np.outer(unit, unit))
+    return np.asarray(directions * np.maximum(size, 0.0) @ directions.T * np.outer(unit, unit))
 
 
 def scales_of_spread(problem: Problem, found: Hypothesis) -> dict[str, float]:
