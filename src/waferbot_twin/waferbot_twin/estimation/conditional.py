@@ -99,8 +99,16 @@ def conditional_errors(hypothesis: Hypothesis) -> Array | None:
 
 def shown_by(problem: Problem, hypothesis: Hypothesis) -> Shown | None:
     """Return `conditional_errors` by name: with them a fit near here begins; None without a fit."""
-    errors, names = conditional_errors(hypothesis), names_of(problem, hypothesis.causes)
-    if errors is None or len(errors) != len(names):
+    errors = conditional_errors(hypothesis)
+    return None if errors is None else by_name(problem, hypothesis, errors)
+
+
+def by_name(
+    problem: Problem, hypothesis: Hypothesis, errors: Array
+) -> dict[tuple[str, str], float] | None:
+    """Return errors (k,) of all parameters by the cause's name and their own; None without a fit."""
+    names = names_of(problem, hypothesis.causes)
+    if len(errors) != len(names):
         return None
     return {
         (hypothesis.causes[place].name, item.name): float(error)

@@ -36,8 +36,7 @@ from scipy.stats import chi2, norm
 
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.effect import Parameter
-from waferbot_twin.estimation.conditional import conditional_errors
-from waferbot_twin.estimation.gauss_newton import names_of
+from waferbot_twin.estimation.conditional import by_name, conditional_errors
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -49,13 +48,10 @@ from waferbot_twin.estimation.quantised_fit import same_bits
 from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array
 
-LEVEL = 0.95
-"""Probability of an interval."""
-
-NORMAL_95 = float(norm.ppf(0.5 * (1.0 + LEVEL)))
+NORMAL_95 = float(norm.ppf(0.975))
 """Standard errors to either side of a normally distributed estimate that hold 95 % of all."""
 
-AS_LIKELY = float(chi2(1).ppf(LEVEL))
+AS_LIKELY = float(chi2(1).ppf(0.95))
 """Difference in 2 ln L up to which a value is in the interval of one parameter."""
 
 FINEST, COARSER = 0.01, 1.5
@@ -78,13 +74,7 @@ class Rival:
 
 def errors_by_name(problem: Problem, hypothesis: Hypothesis) -> dict[tuple[str, str], float]:
     """Return the standard error of every parameter that was fitted, by its cause's name and its own."""
-    errors, names = standard_errors(hypothesis), names_of(problem, hypothesis.causes)
-    if len(errors) != len(names):
-        return {}
-    return {
-        (hypothesis.causes[place].name, item.name): float(error)
-        for (place, item), error in zip(names, errors, strict=True)
-    }
+    return by_name(problem, hypothesis, standard_errors(hypothesis)) or {}
 
 
 def averaged(
@@ -114,7 +104,7 @@ def averaged(
             beyond = side * (values - x)
             sure = np.where(beyond >= 0.0, np.inf, -np.inf)
             steps = np.divide(beyond, errors, out=sure, where=errors > 0.0)
-            return float(shares @ norm.cdf(steps)) - 0.5 * (1.0 - LEVEL)
+            return float(shares @ norm.cdf(steps) - norm.sf(NORMAL_95))
 
         return float(bisect(left, first - margin, last + margin, xtol=margin))
 

@@ -22,6 +22,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import fixed_point
 
 from waferbot_twin.estimation.gauss_newton import names_of
 from waferbot_twin.estimation.hypothesis import Hypothesis
@@ -30,14 +31,11 @@ from waferbot_twin.residuals.prior_block import KNOWN_FROM
 from waferbot_twin.residuals.problem import Problem
 from waferbot_twin.residuals.record import Array
 
-ENOUGH, ROUNDS = 1e-6, 200
-"""Relative change of k^2 below which (1) holds, and how often (1) and (2) follow one another at most."""
-
 
 def with_usual_spread(problem: Problem, found: Hypothesis) -> Hypothesis:
     """Return a fitted hypothesis with the covariance C of equation (2)."""
     groups = _groups(problem, found)
-    if len(found.covariance) != len(names_of(problem, found.causes)):
+    if not groups or len(found.covariance) != len(names_of(problem, found.causes)):
         return found
     inverse = np.zeros((len(groups), len(found.covariance)))
     scales = np.zeros(len(groups))
@@ -46,13 +44,13 @@ def with_usual_spread(problem: Problem, found: Hypothesis) -> Hypothesis:
         # As the fit had it: of the most probable values, those that are held among them.
         scales[row] = (KNOWN_FROM + group.squares) / (KNOWN_FROM + group.every)
     logs = _not_negative(information_of_logs(found.covariance, scales**-1.0 @ inverse))
-    for _ in range(ROUNDS if groups else 0):
-        covariance = posterior_covariance(logs, scales**-1.0 @ inverse)
-        last, scales = scales, np.array([group.square_of_scale(covariance) for group in groups])
-        found = replace(found, covariance=covariance)
-        if np.all(np.abs(scales - last) <= ENOUGH * scales):
-            break
-    return found
+
+    def next_scales(squares: Array) -> Array:
+        covariance = posterior_covariance(logs, squares**-1.0 @ inverse)
+        return np.array([group.square_of_scale(covariance) for group in groups])
+
+    scales = fixed_point(next_scales, scales)
+    return replace(found, covariance=posterior_covariance(logs, scales**-1.0 @ inverse))
 
 
 def _not_negative(information: Array) -> Array:

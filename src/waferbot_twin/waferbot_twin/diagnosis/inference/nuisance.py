@@ -368,15 +368,18 @@ def in_place_of_bounds(
                 continue
             none = {one.name: one.neutral for one in parameters_of(problem, rival)}
             full = rival.with_values({**none, item.name: item.typical})
-            for path, x in on_bounds.items():
-                try:
-                    changed = apply_all(nominal, [full])
-                    before, after = (_number_at(one, path) for one in (nominal, changed))
-                except UserError:  # there is no machine with so much of it
-                    continue
+            try:
+                changed = apply_all(nominal, [full])
+                both = {
+                    path: [_number_at(one, path) for one in (nominal, changed)]
+                    for path in on_bounds
+                }
+            except UserError:  # there is no machine with so much of it
+                continue
+            for path, (before, after) in both.items():
                 if before == after:
                     continue
-                share = before * x / (after - before)
+                share = before * on_bounds[path] / (after - before)
                 value = item.neutral + share * (item.typical - item.neutral)
                 named = full.with_values({item.name: min(max(value, item.low), item.high)})
                 found.append(each_once(problem, (*causes, named)))
