@@ -38,6 +38,7 @@ from waferbot_twin.cli.compare import compare
 from waferbot_twin.cli.info import describe
 from waferbot_twin.cli.main import main
 from waferbot_twin.cli.replay import recorded_plan
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.frequency_response.channels import parse_channel
 from waferbot_twin.identification.named_parameters import parse_all
@@ -536,7 +537,7 @@ def _feed_measured(content: bytes, folder: Path) -> None:
 # ---- reports and the command line ----------------------------------------------------------------
 
 REPORT = {
-    'schema': 2,
+    'schema': SCHEMA,
     'model': 'rigid',
     'causes': [
         {

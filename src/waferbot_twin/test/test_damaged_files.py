@@ -14,6 +14,7 @@ import scipy.io
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import parse
 from waferbot_twin.cli.main import main
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.logs.archive import read_archive
 from waferbot_twin.logs.isolated import isolated
 from waferbot_twin.logs.load import load_log
@@ -172,15 +173,15 @@ def test_a_damaged_metadata_yaml_is_named(tmp_path, text):
     [
         ([], "is not of type 'object'"),
         ({'causes': []}, "'schema' is a required property"),
-        ({'schema': 1, 'causes': []}, 'schema: 2 was expected'),
-        ({'schema': 2}, "'causes' is a required property"),
+        ({'schema': 1, 'causes': []}, f'schema: {SCHEMA} was expected'),
+        ({'schema': SCHEMA}, "'causes' is a required property"),
         (
-            {'schema': 2, 'causes': [{'effect': 'x'}]},
+            {'schema': SCHEMA, 'causes': [{'effect': 'x'}]},
             r"causes\[0\]: 'axis' is a required property",
         ),
         (
             {
-                'schema': 2,
+                'schema': SCHEMA,
                 'causes': [
                     {
                         'effect': 'x',

@@ -12,6 +12,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import commanded_positions, load_experiment
 from waferbot_pmac.i_variables import servo_parameters
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.evidence import gain
@@ -174,7 +175,7 @@ def test_rivals_by_name_and_from_a_report(rigid, tmp_path):
         'credible_set': [],
     }
     (tmp_path / 'report.json').write_text(
-        json.dumps({'schema': 2, 'causes': [known, row]}), 'utf-8'
+        json.dumps({'schema': SCHEMA, 'causes': [known, row]}), 'utf-8'
     )
     group = of_report(read_report(tmp_path), rigid, None)
     assert [item.values for item in group.rivals] == [{'friction': 1.5}, {'damping': 0.2}]

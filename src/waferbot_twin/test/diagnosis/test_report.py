@@ -20,14 +20,17 @@ from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, Diagnosis, FoundCause
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.envelope import MOST_SAMPLES, STRETCHES, envelope
 from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.library.from_report import read_entries
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
+from waferbot_twin.suggestion.rivals import of_report, read_report
 from waferbot_twin.validation.gain import gains
 from waferbot_twin.validation.gain_report import draw_gains
 
@@ -265,7 +268,7 @@ def test_residual_force_over_speed_is_the_friction(diagnosis):
 def test_json_has_what_the_page_says(diagnosis, tmp_path):
     report.write(diagnosis, tmp_path)
     content = json.loads((tmp_path / 'report.json').read_text('utf-8'))
-    assert content['schema'] == 3
+    assert content['schema'] == SCHEMA
     cause = content['causes'][0]
     assert cause['parameters']['friction'] == {
         'value': FRICTION_NM, 'unit': 'Nm', 'low95': 1.4, 'high95': 1.6,
@@ -279,6 +282,17 @@ def test_json_has_what_the_page_says(diagnosis, tmp_path):
     assert first.startswith(
         '# The model rigid, extended by a diagnosis: Coulomb friction, 1.5 Nm, '
     )
+
+
+def test_programs_of_our_own_read_the_report(diagnosis, tmp_path):
+    report.write(diagnosis, tmp_path)
+    group = of_report(read_report(tmp_path), diagnosis.nominal, None)
+    assert [item.name for item in group.rivals] == [
+        'coulomb_friction:x_rotate',
+        'viscous_friction:x_rotate',
+    ]
+    entries = read_entries(tmp_path, 'mine', '2026-11-30', {})
+    assert 'coulomb_friction.friction' in [entry.parameter for entry in entries]
 
 
 def test_an_envelope_loses_no_peak():

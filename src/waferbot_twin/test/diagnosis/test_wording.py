@@ -14,7 +14,7 @@ from waferbot_twin.diagnosis.corrections import Correction
 from waferbot_twin.diagnosis.diagnose import Alternative, FoundCause
 from waferbot_twin.diagnosis.inference.unexplained import Unexplained
 from waferbot_twin.diagnosis.parameters import parameter_texts
-from waferbot_twin.diagnosis.wording import LONGEST_SENTENCE, in_words, sentence, size
+from waferbot_twin.diagnosis.wording import LONGEST_SENTENCE, in_words, instead, sentence, size
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
@@ -40,10 +40,10 @@ def every_cause(nominal):
     ]
 
 
-def found(nominal, cause, probability=0.87, share=0.42, others=()):
+def found(nominal, cause, probability=0.87, share=0.42, others=(), unnamed=0.0):
     parameters = cause.effect.parameters(nominal, cause.axis)
     members = (Alternative(cause, probability), *(Alternative(other, 0.1) for other in others))
-    return FoundCause(cause, parameters, {}, 1.0, probability, members, 10.0, share)
+    return FoundCause(cause, parameters, {}, 1.0, probability, members, 10.0, share, unnamed)
 
 
 def diagnosis(nominal, causes, unexplained=(), possible=(), corrections=(), gains=()):
@@ -145,6 +145,9 @@ def test_one_that_may_be_another_says_which(nominal):
     assert 'else Stribeck friction on X-Rotate' in doubtful
     sure = sentence(diagnosis(nominal, [found(nominal, friction(), 0.96, 0.4, [other])]))
     assert 'Stribeck' not in sure
+    nameless = found(nominal, friction(), 0.5, 0.4, [other], unnamed=0.4)
+    assert instead(nominal, nameless)[0] == ('something without a known cause', 0.4)
+    assert 'else something without a known cause' in sentence(diagnosis(nominal, [nameless]))
 
 
 def test_without_causes_the_model_explains_the_logs_or_nothing_does(nominal):

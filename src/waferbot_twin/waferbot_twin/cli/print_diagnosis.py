@@ -12,7 +12,7 @@ from waferbot_twin.diagnosis.parameters import ParameterText, parameter_texts
 from waferbot_twin.diagnosis.report import correction_row, gain_with_unnamed, unexplained_rows
 from waferbot_twin.diagnosis.wording import (
     capital,
-    in_words,
+    instead,
     percent_text,
     probability_text,
     reading,
@@ -69,8 +69,8 @@ def _print_causes(diagnosis: Diagnosis, heading: str, causes: list[FoundCause]) 
     result_console.print(table)
     for found in causes:
         others = '; '.join(
-            f'{in_words(diagnosis.nominal, item.cause)} ({probability_text(item.probability)})'
-            for item in found.alternatives
+            f'{words} ({probability_text(probability)})'
+            for words, probability in instead(diagnosis.nominal, found)
         )
         if others:
             print(f'{capital(title(diagnosis.nominal, found.cause))} may be instead: {others}.')

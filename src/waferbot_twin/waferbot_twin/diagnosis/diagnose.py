@@ -40,7 +40,7 @@ from waferbot_twin.diagnosis.inference.prediction import Prediction
 from waferbot_twin.diagnosis.inference.refit import to_the_end
 from waferbot_twin.diagnosis.inference.search import infer
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.inference.single_effects import Follows, Posterior, SingleEffect
+from waferbot_twin.diagnosis.inference.single_effects import Follows, Posterior
 from waferbot_twin.diagnosis.inference.unexplained import (
     Unexplained,
     follows_command,
@@ -88,6 +88,8 @@ class FoundCause:
     probability     posterior probability that this is the cause, 0 to 1
     credible_set    the fewest candidates that hold the cause with 95 %, the most probable first, this
                     one among them
+    unnamed         posterior probability that it is none of these, but a force or small corrections
+                    without a known cause, as far as that is needed for the 95 %, 0 to 1
     intervals_95    ends of the 95 % interval of each parameter; one chosen from a few has none
     log_evidence    ln of the Bayes factor against none of it
     share           share of what the nominal model gets wrong on the cause's axis, mean square beyond
@@ -102,6 +104,7 @@ class FoundCause:
     credible_set: tuple[Alternative, ...]
     log_evidence: float
     share: float
+    unnamed: float = 0.0
 
     @property
     def alternatives(self) -> tuple[Alternative, ...]:
@@ -362,6 +365,7 @@ def _found_causes(
         first += cause.free
         if cause.name not in wanted:
             continue
+        members = effect.credible_set(settings.credible_level)
         result.append(
             FoundCause(
                 cause,
@@ -369,9 +373,16 @@ def _found_causes(
                 intervals_95(problem, found, place, own, rivals),
                 effect.inclusion,
                 effect.best.probability,
-                _credible_set(effect, cause, settings),
+                tuple(
+                    Alternative(
+                        cause if one.cause.name == cause.name else one.cause, one.probability
+                    )
+                    for one in members
+                    if is_physical(one.cause)
+                ),
                 effect.best.log_evidence,
                 posterior.share(problem, place, follows),
+                sum(one.probability for one in members if not is_physical(one.cause)),
             )
         )
     return sorted(result, key=lambda item: -item.share)
@@ -384,18 +395,6 @@ def _without_a_name(posterior: Posterior, settings: Settings) -> list[Cause]:
         for cause, effect in zip(posterior.found.causes, posterior.effects, strict=True)
         if is_physical(cause) and effect.inclusion < settings.named_from
     ]
-
-
-def _credible_set(
-    effect: SingleEffect, cause: Cause, settings: Settings
-) -> tuple[Alternative, ...]:
-    """Return the members of a credible set that have a physical name; the cause at its final values."""
-    members = effect.credible_set(settings.credible_level)
-    return tuple(
-        Alternative(cause if one.cause.name == cause.name else one.cause, one.probability)
-        for one in members
-        if is_physical(one.cause)
-    )
 
 
 def _stands_for(variant: Variant, causes: Sequence[Cause]) -> list[str]:

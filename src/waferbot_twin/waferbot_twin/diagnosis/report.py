@@ -26,6 +26,7 @@ from waferbot_twin.diagnosis.forces import BINS, draw_forces
 from waferbot_twin.diagnosis.once import once
 from waferbot_twin.diagnosis.parameters import parameter_texts
 from waferbot_twin.diagnosis.reference import reference_dict, reference_remarks, reference_rows
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.diagnosis.unnamed import gains_with_unnamed
 from waferbot_twin.diagnosis.wording import (
     BLOCKS,
@@ -33,6 +34,7 @@ from waferbot_twin.diagnosis.wording import (
     UserUnit,
     capital,
     in_words,
+    instead,
     percent_text,
     probability_text,
     reading,
@@ -51,8 +53,6 @@ from waferbot_twin.validation.gain_report import (
     draw_gains,
     gain_table,
 )
-
-SCHEMA = 3
 
 NO_INTERVAL = (math.nan, math.nan)
 """The ends of the interval of a parameter that has none: null in JSON."""
@@ -161,6 +161,7 @@ def _cause(nominal: Variant, found: FoundCause) -> dict[str, Any]:
             }
             for item in found.credible_set
         ],
+        'unnamed': found.unnamed,
     }
 
 
@@ -281,11 +282,8 @@ def _row(nominal: Variant, found: FoundCause) -> dict[str, Any]:
         'probability': probability_text(found.probability),
         'parameters': parameter_texts(nominal, found),
         'alternatives': [
-            {
-                'words': in_words(nominal, item.cause),
-                'probability': probability_text(item.probability),
-            }
-            for item in found.alternatives
+            {'words': words, 'probability': probability_text(probability)}
+            for words, probability in instead(nominal, found)
         ],
     }
 

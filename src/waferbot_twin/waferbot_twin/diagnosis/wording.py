@@ -36,6 +36,9 @@ READINGS = ((0.95, 'beyond doubt'), (0.8, 'likely'), (0.0, 'perhaps'))
 LONGEST_SENTENCE = 40
 """Words of the first sentence of a report, at most."""
 
+NO_KNOWN_CAUSE = 'something without a known cause'
+"""What a cause may be instead: a force, or small corrections, that nothing in the library stands for."""
+
 BLOCKS = {
     'plant': 'motion of the axis (mechanics)',
     'controller': 'current command of the controller',
@@ -203,6 +206,16 @@ def in_words(variant: Variant, cause: Cause, without: Collection[str] = ()) -> s
     return f'{cause.effect.title}, {told} on {variant.titles[cause.axis]}'
 
 
+def instead(
+    variant: Variant, found: FoundCause, say: Callable[[Variant, Cause], str] = in_words
+) -> list[tuple[str, float]]:
+    """Return what else a cause may be, in words, and how probable; what is most probable first."""
+    others = [(say(variant, item.cause), item.probability) for item in found.alternatives]
+    if found.unnamed:
+        others.append((NO_KNOWN_CAUSE, found.unnamed))
+    return sorted(others, key=lambda item: -item[1])
+
+
 def capital(text: str) -> str:
     """Return a text with a capital letter first."""
     return text[:1].upper() + text[1:]
@@ -269,9 +282,10 @@ def _why_none(first: FoundCause) -> str:
 
 
 def _other(diagnosis: Diagnosis, first: FoundCause) -> str:
-    if not first.alternatives or first.probability >= READINGS[0][0]:
+    if first.probability >= READINGS[0][0]:
         return ''
-    return f'; else {title(diagnosis.nominal, first.alternatives[0].cause)}'
+    others = instead(diagnosis.nominal, first, title)
+    return f'; else {others[0][0]}' if others else ''
 
 
 def _more(diagnosis: Diagnosis) -> str:

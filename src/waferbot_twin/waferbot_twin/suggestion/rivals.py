@@ -13,47 +13,50 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.checked_json import NUMBER, TEXT, checked_json
+from waferbot_twin.diagnosis.report_schema import SCHEMA
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.synthesis import parse_effect
 
 _NAMED = {'effect': TEXT, 'axis': TEXT}
-_REPORT = {
-    'type': 'object',
-    'required': ['schema', 'causes'],
-    'properties': {
-        'schema': {'const': 2},
-        'model': TEXT,
-        'causes': {
-            'type': 'array',
-            'items': {
+_CAUSES = {
+    'type': 'array',
+    'items': {
+        'type': 'object',
+        'required': ['effect', 'axis', 'parameters', 'credible_set'],
+        'properties': {
+            **_NAMED,
+            'parameters': {
                 'type': 'object',
-                'required': ['effect', 'axis', 'parameters', 'credible_set'],
-                'properties': {
-                    **_NAMED,
-                    'parameters': {
-                        'type': 'object',
-                        'additionalProperties': {
-                            'type': 'object',
-                            'required': ['value'],
-                            'properties': {'value': NUMBER},
-                        },
-                    },
-                    'credible_set': {
-                        'type': 'array',
-                        'items': {
-                            'type': 'object',
-                            'required': ['effect', 'axis', 'values'],
-                            'properties': {
-                                **_NAMED,
-                                'values': {'type': 'object', 'additionalProperties': NUMBER},
-                            },
-                        },
+                'additionalProperties': {
+                    'type': 'object',
+                    'required': ['value'],
+                    'properties': {'value': NUMBER},
+                },
+            },
+            'credible_set': {
+                'type': 'array',
+                'items': {
+                    'type': 'object',
+                    'required': ['effect', 'axis', 'values'],
+                    'properties': {
+                        **_NAMED,
+                        'values': {'type': 'object', 'additionalProperties': NUMBER},
                     },
                 },
             },
         },
+    },
+}
+_REPORT = {
+    'type': 'object',
+    'required': ['schema', 'causes'],
+    'properties': {
+        'schema': {'const': SCHEMA},
+        'model': TEXT,
+        'causes': _CAUSES,
+        'possible': _CAUSES,
     },
 }
 """What is read of the report of a diagnosis, as a JSON schema."""
@@ -97,10 +100,15 @@ def of_report(report: Mapping[str, Any], variant: Variant, wanted: str | None) -
     """
     Return the first cause of a report that could not be told from others, with these.
 
-    `wanted` names another one, EFFECT:AXIS. Raises `UserError` if there is none.
+    One that is only possible comes after those that are named. `wanted` names another one, EFFECT:AXIS.
+    Raises `UserError` if there is none.
     """
-    causes = {f'{item["effect"]}:{item["axis"]}': item for item in report['causes']}
-    unsure = {name: item for name, item in causes.items() if len(item['credible_set']) > 1}
+    causes = _by_name(report['causes'])
+    unsure = {
+        name: item
+        for name, item in {**causes, **_by_name(report.get('possible', []))}.items()
+        if len(item['credible_set']) > 1
+    }
     if not unsure:
         raise UserError(
             'the report has no cause that could not be told from another; name two with --rivals'
@@ -117,10 +125,14 @@ def of_report(report: Mapping[str, Any], variant: Variant, wanted: str | None) -
     own = unsure[name]
     rivals = [
         _cause(item, item['values'], variant)
-        for item in own['credible_set']
-        if f'{item["effect"]}:{item["axis"]}' != name
+        for other, item in _by_name(own['credible_set']).items()
+        if other != name
     ]
     return Group((_cause(own, _values(own), variant), *rivals), others)
+
+
+def _by_name(items: Sequence[Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    return {f'{item["effect"]}:{item["axis"]}': item for item in items}
 
 
 def _values(item: Mapping[str, Any]) -> dict[str, float]:
