@@ -106,7 +106,7 @@ def effect_of(cause):
 def judged(monkeypatch):
     """Return a function that eliminates causes by hand-made odds; and what it gave, what was asked."""
 
-    def eliminated(causes, by_linear, by_logs, effects, tentative=()):
+    def eliminated(causes, by_linear, by_logs, effects, tentative=(), each_once=None):
         asked = []
 
         def odds_beside(pool, found, name):
@@ -118,7 +118,9 @@ def judged(monkeypatch):
         monkeypatch.setattr(elimination, '_linear_odds', lambda pool, found, out=(): by_linear)
         monkeypatch.setattr(elimination, 'odds_beside', odds_beside)
         monkeypatch.setattr(elimination, 'to_the_end', lambda problem, found, workers: found)
-        monkeypatch.setattr(elimination, 'each_once', lambda problem, causes: tuple(causes))
+        monkeypatch.setattr(
+            elimination, 'each_once', each_once or (lambda problem, causes: tuple(causes))
+        )
         monkeypatch.setattr(
             elimination,
             'fitted',
@@ -142,6 +144,23 @@ def test_what_is_not_evident_is_asked_though_the_linear_problem_was_wrong_of_ano
     by_logs = {'one:x': 73.0, 'two:x': -2.0}
     found, left, _ = judged(every, by_linear, by_logs, [effect_of(cause) for cause in every])
     assert found == names_of(left) == ['one:x', 'three:x']
+
+
+def test_what_stands_for_a_dense_parameter_is_asked_however_evident(judged):
+    """The linear problem has not that parameter, which without the cause does the same."""
+    dense = Cause(Term('dense'), 'x', {'value': 0.0}, held=('value',))
+    causes = (dense, *(Cause(Term(name), 'x', {'value': 1.0}) for name in NAMES[:3]))
+    by_linear = {'one:x': 5.0, 'two:x': 900.0, 'three:x': 40.0}
+    by_logs = {'one:x': 6.0, 'two:x': -1.0, 'three:x': 40.0}
+
+    def each_once(problem, some):
+        held = ('value',) if any(cause.name == 'two:x' for cause in some) else ()
+        return tuple(replace(one, held=held) if one.name == 'dense:x' else one for one in some)
+
+    effects = [effect_of(cause) for cause in causes[1:]]
+    _, left, asked = judged(causes, by_linear, by_logs, effects, (), each_once)
+    assert asked == ['one:x', 'two:x']
+    assert names_of(left) == ['one:x', 'three:x']
 
 
 def test_what_a_fit_has_brought_to_a_bound_goes(judged):

@@ -57,9 +57,11 @@ def evident(
     fitted anew without it. Where the logs then want it back, those that were asked for before and are
     evident in the linear problem are so with these odds at least: their own may be from beside other
     causes. All others have to be wanted back themselves, as the linear problem was wrong of one; so has
-    what came along (`tentative`), which was never asked for. One that a fit has brought to a bound of
-    what is possible stands in for another one, and so does one with a period that no log covers
-    (`proposals.repetition`): the next member of its effect takes its place, or nothing if none is left.
+    what came along (`tentative`), which was never asked for, and what stands for a parameter of a dense
+    effect, which is free without it: the linear problem does not have that. One that a fit has brought
+    to a bound of what is possible stands in for another one, and so does one with a period that no log
+    covers (`proposals.repetition`): the next member of its effect takes its place, or nothing if none is
+    left.
     """
     left = [*effects, *tentative]
     # About other values than the best a fit without a cause gains what was not yet gained with it.
@@ -93,7 +95,11 @@ def evident(
         if odds > limit and name not in on_bounds:
             odds_of[name] = odds
             left = [one.as_judged(odds) if one.best.cause.name == name else one for one in left]
-            asked = {one for one in open_ones if by_linear[one] > limit}
+            asked = {
+                one
+                for one in open_ones
+                if by_linear[one] > limit and not _stands_for_dense(pool.problem, found, one)
+            }
             asked -= {one.best.cause.name for one in tentative}
             odds_of |= {
                 one.best.cause.name: max(odds, float(logit(one.inclusion)))
@@ -113,6 +119,12 @@ def evident(
 def _stands_in(problem: Problem, found: Hypothesis, place: int) -> bool:
     """Return whether the fitted cause at a place can only stand in for another one."""
     return on_a_bound(problem, found, place) or not repeats_in(problem, found.causes[place])
+
+
+def _stands_for_dense(problem: Problem, found: Hypothesis, name: str) -> bool:
+    """Return whether without a cause a parameter of a dense effect is free that was held for it."""
+    rest = tuple(cause for cause in found.causes if cause.name != name)
+    return sum(cause.free for cause in each_once(problem, rest)) > sum(one.free for one in rest)
 
 
 def _with_next_member(
