@@ -147,6 +147,11 @@ def force_constant(motor: Motor) -> float:
     return _HALF_ROOT_3 * motor.back_emf
 
 
+def back_emf_of(force_per_ampere: float) -> float:
+    """Return the back-EMF lead to lead, V s/m or V s/rad, of a `force_constant`."""
+    return force_per_ampere / _HALF_ROOT_3
+
+
 def check_windings(description: Description) -> None:
     """
     Raise `UserError` if a motor cannot be driven by an amplifier's voltages.

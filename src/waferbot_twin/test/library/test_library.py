@@ -9,12 +9,13 @@ import pytest
 import yaml
 
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.motors import force_constant
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.named_parameters import at_path
 from waferbot_twin.library.entries import Entry, add, load, shipped
-from waferbot_twin.library.from_report import part_of
-from waferbot_twin.library.ranges import prior, table
+from waferbot_twin.library.from_report import part_of, read_entries
+from waferbot_twin.library.ranges import draw, prior, table
 from waferbot_twin.models import load_model
 
 BELT = 'connections.belt.stiffness_n_m'
@@ -175,3 +176,29 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path, capsys):
         assert said in error
         assert error.count('\n') == 1
     assert not (tmp_path / 'parts.yaml').exists()
+
+
+def test_a_torque_constant_of_a_diagnosis_is_the_back_emf_that_its_path_names(tmp_path):
+    key = 'motors.y_rotate.back_emf_lead_to_lead_v_s_rad'
+    variant = Variant.of(load_model('rigid'))
+    motor = variant.description.motors['y_rotate']
+    correction = {
+        'path': key, 'unit': 'Nm/A', 'found': force_constant(motor), 'low': 0.1, 'high': 0.2,
+    }  # fmt: skip
+    folder = report(tmp_path / 'diagnosis', {'causes': [], 'corrections': [correction]})
+    (entry,) = read_entries(folder, 'mine', '2026-11-30', {})
+    named = at_path(key, variant)
+    assert entry.value == pytest.approx(named.start, rel=1e-12)
+    assert entry.unit == named.unit
+    assert entry.low / 0.1 == pytest.approx(entry.value / force_constant(motor), rel=1e-12)
+
+
+def test_what_has_another_unit_is_another_quantity(tmp_path):
+    newtons = [Entry('other', 'coulomb_friction.friction', value, 'N') for value in (20.0, 22.0)]
+    torque = Entry('other', 'coulomb_friction.friction', 1.5, 'Nm')
+    rows = table([newtons[0], torque, newtons[1]])
+    assert rows['unit'].tolist() == ['N', 'Nm']
+    assert rows['entries'].tolist() == [2, 1]
+    assert rows['high'].tolist() == [22.0, 1.5]
+    draw([*newtons, torque], tmp_path / 'ranges.png')
+    assert (tmp_path / 'ranges.png').stat().st_size > 0

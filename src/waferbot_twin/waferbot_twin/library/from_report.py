@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from waferbot_lockstep.errors import UserError
+from waferbot_plant.motors import back_emf_of
 from waferbot_twin.checked_json import NUMBER, TEXT, checked_json
 from waferbot_twin.library.entries import Entry
 
@@ -117,9 +118,8 @@ def read_entries(
         ]  # fmt: skip
     found += [
         Entry(
-            part_of(one['path']), parameter_of(one['path']), float(one['found']), one['unit'],
-            path=one['path'], origin=f'diagnose: {report}', low=float(one['low']),
-            high=float(one['high']), **common,
+            part_of(one['path']), parameter_of(one['path']), **_at_path(one),
+            path=one['path'], origin=f'diagnose: {report}', **common,
         )
         for one in data.get('corrections', [])
         if not one['path'].startswith('logs.')  # the time of a drive is that of a log
@@ -135,3 +135,22 @@ def _interval(one: dict[str, Any]) -> dict[str, Any]:
     if low is None or high is None:
         return {}
     return {'low': float(low), 'high': float(high)}
+
+
+def _at_path(correction: dict[str, Any]) -> dict[str, Any]:
+    """
+    Return value, unit and interval of a correction as the description has it where its path leads.
+
+    A report tells the force or torque per ampere of a motor that is described by its back-EMF.
+    """
+    numbers = {
+        'value': float(correction['found']),
+        'low': float(correction['low']),
+        'high': float(correction['high']),
+    }
+    unit = correction['unit']
+    key = parameter_of(correction['path'])
+    if not key.startswith('back_emf'):
+        return {**numbers, 'unit': unit}
+    numbers = {name: back_emf_of(number) for name, number in numbers.items()}
+    return {**numbers, 'unit': 'V s/rad' if key.endswith('rad') else 'V s/m'}

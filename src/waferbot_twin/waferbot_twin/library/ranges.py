@@ -38,15 +38,12 @@ def ends_of(entry: Entry) -> tuple[float, float]:
 
 def table(entries: Sequence[Entry]) -> pd.DataFrame:
     """
-    Return a row for each part and parameter: `low`, `median`, `high`, `unit`, `entries`, `machines`.
+    Return a row for each part, parameter and unit: `low`, `median`, `high`, `entries`, `machines`.
 
-    In the order in which they came first.
+    In the order in which they came first: a friction is one thing in N and another in Nm.
     """
-    groups: dict[tuple[str, str], list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault((entry.part, entry.parameter), []).append(entry)
     rows = []
-    for (part, parameter), group in groups.items():
+    for (part, parameter, unit), group in _groups(entries).items():
         ends = [ends_of(entry) for entry in group]
         rows.append(
             {
@@ -55,13 +52,21 @@ def table(entries: Sequence[Entry]) -> pd.DataFrame:
                 'low': min(low for low, _ in ends),
                 'median': float(pd.Series([entry.value for entry in group]).median()),
                 'high': max(high for _, high in ends),
-                'unit': group[0].unit,
+                'unit': unit,
                 'entries': len(group),
                 'machines': len({entry.machine for entry in group}),
             }
         )
     columns = ['part', 'parameter', 'low', 'median', 'high', 'unit', 'entries', 'machines']
     return pd.DataFrame(rows, columns=columns)
+
+
+def _groups(entries: Sequence[Entry]) -> dict[tuple[str, str, str], list[Entry]]:
+    """Return the entries of each part, parameter and unit, in the order in which they came first."""
+    groups: dict[tuple[str, str, str], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault((entry.part, entry.parameter, entry.unit), []).append(entry)
+    return groups
 
 
 def entries_of(entries: Sequence[Entry], parameter: NamedParameter) -> list[Entry]:
@@ -101,16 +106,12 @@ def draw(entries: Sequence[Entry], file: Path) -> None:
     """Draw every entry with its interval, in a panel for each parameter; raises `UserError` if none."""
     if not entries:
         raise UserError('there is nothing to draw')
-    names = list(dict.fromkeys((entry.part, entry.parameter) for entry in entries))
+    groups = _groups(entries)
     figure, panels = plt.subplots(
-        len(names), 1, figsize=(8.0, 0.9 * len(names) + 0.42 * len(entries)), squeeze=False,
-        height_ratios=[
-            1.0 + sum((entry.part, entry.parameter) == name for entry in entries)
-            for name in names
-        ],
+        len(groups), 1, figsize=(8.0, 0.9 * len(groups) + 0.42 * len(entries)), squeeze=False,
+        height_ratios=[1.0 + len(group) for group in groups.values()],
     )  # fmt: skip
-    for panel, name in zip(panels[:, 0], names, strict=True):
-        group = [entry for entry in entries if (entry.part, entry.parameter) == name]
+    for panel, ((part, parameter, unit), group) in zip(panels[:, 0], groups.items(), strict=True):
         for place, entry in enumerate(group):
             low, high = ends_of(entry)
             panel.plot([low, high], [place, place], color='#1f5fa8', lw=2.0)
@@ -119,8 +120,7 @@ def draw(entries: Sequence[Entry], file: Path) -> None:
         panel.set_yticks(range(len(group)), labels, fontsize=8)
         panel.set_ylim(len(group) - 0.5, -0.5)
         panel.set_xlim(left=min(0.0, *(ends_of(entry)[0] for entry in group)))
-        unit = f' [{group[0].unit}]' if group[0].unit else ''
-        panel.set_title(f'{name[0]}: {name[1]}{unit}', fontsize=9)
+        panel.set_title(f'{part}: {parameter}{f" [{unit}]" if unit else ""}', fontsize=9)
         panel.grid(alpha=0.3, axis='x')
     figure.tight_layout()
     save_drawing(figure, file)
