@@ -33,6 +33,7 @@ from waferbot_twin.synthesis import noise
 
 FRICTION = 'coulomb_friction.x_rotate.friction'
 INERTIA = 'bodies.x_rotate_load.inertia_kg_m2'
+RESISTANCE = 'resistance_lead_to_lead_ohm'
 TRUE_FRICTION, TRUE_INERTIA = 3.0, 1.02
 
 
@@ -160,6 +161,8 @@ def test_a_new_machine_begins_with_what_parts_of_its_types_had(tmp_path, capsys)
         Entry('belt', 'loss_factor', 0.03, machine='robot_2'),
         Entry('belt', 'loss_factor', 0.02, 'of another unit'),
         Entry('controller', 'Ixx31', 1234.0, path='pmac.y_linear.Ixx31'),
+        # Of another motor: its size is another one.
+        Entry('motor', RESISTANCE, 0.7, 'ohm', path=f'motors.of_another_machine.{RESISTANCE}'),
     )
     changed, starts = with_starting_values(variant, entries)
     assert [one.path for one in starts] == [path, 'pmac.y_linear.Ixx31']

@@ -2,9 +2,10 @@
 """
 Starting values of a new machine: what the library knows of parts of the same type.
 
-A number of the description gets the median of the library's values of its own path, or else of the
-same type of part, parameter and unit. That is where an identification begins, and no more: of another
-guide the damping may be twice that.
+A number of the description gets the median of the library's values of its own path. Where there is
+none, a number without a unit (a loss factor, an efficiency) gets that of the same type of part and
+parameter; one with a unit stays, for a mass or a torque constant goes with the size of its part. That is
+where an identification begins, and no more: of another guide the loss factor may be twice that.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def with_starting_values(
             named = at_path(path, variant)
         except UserError:  # a word or a list stands there
             continue
-        known = entries_of(entries, named)
+        known = [one for one in entries_of(entries, named) if one.path == path or not named.unit]
         if not known:
             continue
         value = min(max(float(median(one.value for one in known)), named.low), named.high)
