@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from waferbot_twin.noise_model.misfit import InLog, StateFunctions, power_along
+from waferbot_twin.noise_model.misfit import InLog, StateFunctions, power_along, taken_by
 
 RATE_HZ = 1000.0
 SAMPLES = 6000
@@ -50,6 +50,29 @@ def test_white_noise_is_no_misfit(random) -> None:
     # phi of white noise has the standard deviation (2 / k)^(1/2), 0.18.
     assert 1.0 <= np.mean(values) < 1.15
     assert max(values) < 1.8
+
+
+def test_white_noise_is_no_misfit_where_much_was_fitted(random) -> None:
+    """What was fitted has taken a third of what the functions show: not less than noise is left."""
+    axes = motions(random)
+    logs = in_logs(axes)
+    columns = np.concatenate(
+        [
+            np.column_stack([way**n * speed**m for n in range(5) for m in range(5)])
+            for way, speed in axes
+        ]
+    )
+    fitted, _ = np.linalg.qr(columns)
+    parts = np.split(fitted, len(axes))
+    taken = taken_by([log.along(part) for log, part in zip(logs, parts, strict=True)])
+    assert 8.0 < taken < 25.0
+    found = []
+    for _ in range(60):
+        noise = random.standard_normal(SAMPLES * len(axes))
+        left = np.split(noise - fitted @ (fitted.T @ noise), len(axes))
+        squares = sum(log.along(one) for log, one in zip(logs, left, strict=True))
+        found.append(float(squares @ squares) / (logs[0].count - taken))
+    assert np.mean(found) == pytest.approx(1.0, abs=4.0 * np.std(found) / math.sqrt(len(found)))
 
 
 def test_a_cause_has_to_gain_more_than_the_misfit_in_other_directions(random) -> None:

@@ -107,7 +107,8 @@ class _Channel:
     """
     What a channel says of a change: equation (1) of it alone, and by how much its squares are less.
 
-    With what is `left` over and the `change`, white, where it shows an axis that moves.
+    With what is `left` over and the `change`, white, where it shows an axis that moves, and `of_state`
+    as in `noise_model.leverage.Leverage`.
     """
 
     ratio: float
@@ -115,6 +116,7 @@ class _Channel:
     left: Array = field(default_factory=lambda: np.zeros(0))
     change: Array = field(default_factory=lambda: np.zeros(0))
     state: InLog | None = None
+    of_state: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def _seen_from(
@@ -138,13 +140,15 @@ def _seen_from(
             ]
         else:
             squares = [2.0 * ratio for ratio in log_likelihood_ratios(this, other, block)]
-        powers = powers_along(left, changes, fit.colours)
+        powers = powers_along(left, changes, fit.colours, fit.leverages)
         if power_known:
             powers = [power.as_if_known for power in powers]
         ratios = log_likelihood_ratios_in(powers, squares)
         states = [noise.state for noise in fit.noises]
+        taken = [one.of_state for one in fit.leverages] or [np.zeros((0, 0))] * len(states)
         found += [
-            _Channel(*one) for one in zip(ratios, squares, left, changes, states, strict=True)
+            _Channel(*one)
+            for one in zip(ratios, squares, left, changes, states, taken, strict=True)
         ]
     return found
 
@@ -168,7 +172,8 @@ def _beside_misfit(
         squares = abs(sum(ahead[place].squares for place in places))
         left = [ahead[place].left for place in places]
         changes = [ahead[place].change for place in places]
-        most = [misfit.power_along(left, changes, logs).log_likelihood_ratio(squares)]
+        taken = misfit.taken_by([ahead[place].of_state for place in places])
+        most = [misfit.power_along(left, changes, logs, taken).log_likelihood_ratio(squares)]
         if count:
             power = heterogeneity.power_along(left, changes, logs)
             most.append(power.log_likelihood_ratio(squares, count))

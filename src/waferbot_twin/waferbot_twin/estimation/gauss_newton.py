@@ -33,8 +33,9 @@ and is tried then, and twice that, as long as it does gain more.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -64,8 +65,11 @@ from waferbot_twin.estimation.stacked_least_squares import (
     fit_jointly,
     side_by_side,
 )
+from waferbot_twin.noise_model.leverage import Leverage
 from waferbot_twin.noise_model.prediction_error import (
+    Fit,
     in_deviations,
+    leverages_of,
     normal_equations,
     reduced,
 )
@@ -237,14 +241,28 @@ def _with_covariance(
     rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
     prior = _prior(problem, now)
     products = np.sum([part.T @ part for part in rows], axis=0)
+    leverages = leverages_of(rows, estimate.noises, estimate.colours, prior)
     linear = linearise(problem, now, signatures)
     best = _bounded(now.causes, names_of(problem, now.causes), linear, Reach())
     return replace(
         now,
-        covariance=posterior_covariance(information(rows, estimate), prior),
+        fits=_with_leverages(now.fits, leverages, together),
+        covariance=posterior_covariance(information(rows, estimate, leverages), prior),
         curvature=products + np.diag(prior),
         promised=0.5 * _promised(linear, best),
     )
+
+
+def _with_leverages(
+    fits: Mapping[str, Fit], leverages: Sequence[Leverage], blocks: Iterable[str]
+) -> dict[str, Fit]:
+    """Return what is left over by block, with the leverages in some `blocks` in their order."""
+    each = iter(leverages)
+    known = {block: tuple(islice(each, len(fits[block].noises))) for block in blocks}
+    return {
+        block: replace(one, leverages=known[block]) if block in known else one
+        for block, one in fits.items()
+    }
 
 
 def _corrected(

@@ -7,15 +7,16 @@ seen in. So of what a model leaves over, e, white, that part counts as misfit wh
 piecewise linear ones, of position beside speed, of speed (closer to one another near rest), and of
 acceleration by direction (`StateFunctions`), as orthonormal columns Q (N, k) over all logs,
 
-    phi = max(1, |Q' e|^2 / k).                                                                    (1)
+    phi = max(1, |Q' e|^2 / (k - t)),        t = |Q' U|^2,                                         (1)
 
-White noise has phi = 1; misfit has as much more as its power in each of these directions is: the
-variance of a Gaussian process over the state, of low rank, found from the residual itself (empirical
-Bayes; for why it has to be there M. Kennedy, A. O'Hagan, J. R. Stat. Soc. B 63, 2001). A change d of the
-model, of which the share rho = |Q' d|^2 / |d|^2 lies among these directions, might as well be a part of
-the misfit: along d there is the power
+t of the k what was fitted has taken, U its columns (`leverage`). White noise has phi = 1; misfit has as
+much more as its power in each of these directions is: the variance of a Gaussian process over the state,
+of low rank, found from the residual itself (empirical Bayes; for why it has to be there M. Kennedy, A.
+O'Hagan, J. R. Stat. Soc. B 63, 2001). A change d of the model, of which the share
+rho = |Q' d|^2 / |d|^2 lies among these directions, might as well be a part of the misfit: along d there
+is the power
 
-    lambda = 1 + rho (phi - 1),        known with nu = k (lambda / (lambda - 1))^2                 (2)
+    lambda = 1 + rho (phi - 1),        known with nu = (k - t) (lambda / (lambda - 1))^2           (2)
 
 degrees of freedom. So a cause has to gain more than what is left over in other directions of its kind
 would by chance (`estimation.evidence`).
@@ -179,23 +180,27 @@ def of_axes(states: Sequence[InLog | None]) -> list[tuple[list[int], list[InLog]
     return list(found.values())
 
 
-def power_along(left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog]) -> Power:
+def power_along(
+    left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog], taken: float = 0.0
+) -> Power:
     """
     Return the power of misfit in a direction, equation (2), in the channels of one axis, log by log.
 
-    `left` and `changes` are e and d, white.
+    `left` and `changes` are e and d, white; `taken` is the t of equation (1).
     """
     square = sum(float(change @ change) for change in changes)
     if not logs[0].count or square == 0.0:
         return Power(1.0, math.inf)
     along = _along(changes, logs)
-    power = 1.0 + _excess(left, logs) * min(float(along @ along) / square, 1.0)
+    power = 1.0 + _excess(left, logs, taken) * min(float(along @ along) / square, 1.0)
     if power == 1.0:
         return Power(1.0, math.inf)
-    return Power(power, logs[0].count * (power / (power - 1.0)) ** 2)
+    return Power(power, (logs[0].count - taken) * (power / (power - 1.0)) ** 2)
 
 
-def covariance_of(systems: Sequence[Array], left: Sequence[Array], logs: Sequence[InLog]) -> Array:
+def covariance_of(
+    systems: Sequence[Array], left: Sequence[Array], logs: Sequence[InLog], taken: float = 0.0
+) -> Array:
     """
     Return what misfit adds to the covariance of products A' e, in the channels of one axis log by log:
 
@@ -204,13 +209,21 @@ def covariance_of(systems: Sequence[Array], left: Sequence[Array], logs: Sequenc
     with the columns A (N, m) of what is fitted, white (`systems`); m by m.
     """
     along = _along(systems, logs)
-    return np.asarray(_excess(left, logs) * (along.T @ along))
+    return np.asarray(_excess(left, logs, taken) * (along.T @ along))
 
 
-def _excess(left: Sequence[Array], logs: Sequence[InLog]) -> float:
+def taken_by(columns: Sequence[Array]) -> float:
+    """Return the t of equation (1) of the products Q' U (k, r) in the channels of one axis."""
+    return float(np.sum(np.sum(columns, axis=0) ** 2))
+
+
+def _excess(left: Sequence[Array], logs: Sequence[InLog], taken: float) -> float:
     """Return phi - 1 of what is left over."""
+    count = logs[0].count - taken
+    if count < 1.0:  # what is fitted could be all of it
+        return 0.0
     misfit = _along(left, logs)
-    return max(float(misfit @ misfit) / logs[0].count - 1.0, 0.0) if logs[0].count else 0.0
+    return max(float(misfit @ misfit) / count - 1.0, 0.0)
 
 
 def _along(channels: Sequence[Array], logs: Sequence[InLog]) -> Array:

@@ -42,6 +42,7 @@ from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
+from waferbot_twin.noise_model.leverage import Leverage, directions_of, sums_of
 from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
@@ -125,6 +126,11 @@ class Colour:
     deviation: float
     freedom: int = FEWEST_FREEDOM
 
+    @property
+    def block(self) -> int:
+        """Over how many samples sums show what the filter does not see: it is white in faster ones."""
+        return max(1, self.error.order // 2)
+
 
 RIDGE = 1e-10
 """Share of its variance added to a channel's: a line spectrum, or zero, has a filter then, too."""
@@ -190,7 +196,8 @@ class Fit:
 
     `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
     the white residual of each channel, divided by its standard deviation; `colours` and what was known
-    of the `noises` those of each channel.
+    of the `noises` those of each channel. `leverages` are those of all that was fitted, channel by
+    channel; empty where that is not known.
     """
 
     value: Array
@@ -200,6 +207,7 @@ class Fit:
     whitened: tuple[Array, ...]
     colours: tuple[Colour, ...]
     noises: tuple[Noise, ...]
+    leverages: tuple[Leverage, ...] = ()
 
 
 def fit(
@@ -403,6 +411,27 @@ def _log_likelihoods(in_units: Sequence[Array], colours: Sequence[Colour]) -> li
         -len(white) * (math.log(colour.deviation) + 0.5 * (float(np.mean(white**2)) - 1.0))
         for white, colour in zip(in_units, colours, strict=True)
     ]
+
+
+def leverages_of(
+    rows: Sequence[Array], noises: Sequence[Noise], colours: Sequence[Colour], prior: Array
+) -> tuple[Leverage, ...]:
+    """
+    Return the leverage of what is fitted in every channel.
+
+    `rows` (N, k) are its white signatures, `prior` (k,) is the precision of every parameter.
+    """
+    directions = directions_of(rows, prior)
+    return tuple(
+        Leverage(sums_of(part, colour.block) @ directions, colour.block)
+        if noise.state is None
+        else Leverage(
+            sums_of(part, colour.block) @ directions,
+            colour.block,
+            noise.state.along(part) @ directions,
+        )
+        for part, noise, colour in zip(rows, noises, colours, strict=True)
+    )
 
 
 def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:

@@ -32,8 +32,14 @@ from scipy.fft import dct, rfft
 
 from waferbot_twin.noise_model import misfit
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
+from waferbot_twin.noise_model.leverage import Leverage, sums_of
 from waferbot_twin.noise_model.power import Power
-from waferbot_twin.noise_model.prediction_error import Colour, Fit, prediction_errors
+from waferbot_twin.noise_model.prediction_error import (
+    FEWEST_FREEDOM,
+    Colour,
+    Fit,
+    prediction_errors,
+)
 
 Array = NDArray[np.float64]
 
@@ -62,7 +68,11 @@ def spectrum(white: Array) -> Array:
     White noise of unit variance has 1 everywhere. The mean is not noise, so the line at zero has
     the average of the lines above it.
     """
-    lines = np.abs(rfft(white - white.mean())) ** 2 / len(white)
+    return _averaged(np.abs(rfft(white - white.mean())) ** 2 / len(white))
+
+
+def _averaged(lines: Array) -> Array:
+    """Return the average of lines over the band of each."""
     sums = np.concatenate([[0.0], np.cumsum(lines)])
     first, last = _bands(len(lines))
     return np.asarray((sums[last + 1] - sums[first]) / (last - first + 1), np.float64)
@@ -114,17 +124,22 @@ def _cosines(samples: int, count: int) -> Array:
 
 
 def powers_along(
-    left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
+    left: Sequence[Array],
+    changes: Sequence[Array],
+    colours: Sequence[Colour],
+    leverages: Sequence[Leverage] = (),
 ) -> list[Power]:
     """
     Return the power of the noise in a direction d, channel by channel, white noise having 1.
 
     `left` and `changes` are what a model leaves over, e, and d, in every channel, filtered as `colours`
     say. The power is found in two ways, each relative to what white noise would have of it without what
-    lies along d, as all that a fit explains does. Where the axis moves, d is:
+    lies along d, and without what the fit has taken of it otherwise: by its columns U (`leverages`,
+    `leverage.Leverage`), or nothing where these are not known. Where the axis moves, d is:
 
         lambda = sum over k of (sum over n of q_k d e)^2 / tr A,                                   (1)
-        A = C - v v' / |d|^2,   C_kl = sum over n of q_k q_l d^2,   v_k = sum over n of q_k d^2,
+        A = C - v v' / |d|^2 - G G',   C_kl = sum over n of q_k q_l d^2,   v_k = sum over n of q_k d^2,
+        G_kj = sum over n of q_k d U_j - v_k (U_j' d) / |d|^2,
 
     q_k the first K cosines over the samples: the long-run variance of d e (E. Lazarus, D. Lewis,
     J. Stock, M. Watson, J. Business and Economic Statistics 36, 2018: equal-weighted cosines), right
@@ -144,65 +159,65 @@ def powers_along(
     as it has coefficients (`_block`), which takes less time.
     """
     found = []
-    for white, change, colour in zip(left, changes, colours, strict=True):
+    known: Sequence[Leverage | None] = leverages or [None] * len(colours)
+    for white, change, colour, own in zip(left, changes, colours, known, strict=True):
         square = float(change @ change)
         if not colour.error.order or square == 0.0:
             found.append(Power(1.0, math.inf))
             continue
         rest = white - float(change @ white) / square * change
-        block = _block(colour)
         both = (
-            _where_it_moves(rest, change, colour.freedom, block),
-            _by_spectrum(rest, change, block),
+            _where_it_moves(rest, change, colour, own),
+            _by_spectrum(rest, change, colour, own),
         )
-        known = max(one.freedom for one in both)
+        freedom = max(one.freedom for one in both)
         value = max(1.0, *(one.value for one in both))
-        found.append(Power(value, min(known, float(colour.freedom))))
+        found.append(Power(value, min(freedom, float(colour.freedom))))
     return found
 
 
-def _where_it_moves(left: Array, change: Array, count: int, block: int = 1) -> Power:
-    """Return equation (1) of a channel with K = `count`, in sums over blocks of samples."""
-    moves, square = _sums(change * left, block), _sums(change**2, block)
-    count = min(count, (len(square) - 1) // 2)
+def _where_it_moves(
+    left: Array, change: Array, colour: Colour, leverage: Leverage | None
+) -> Power:
+    """Return equation (1) of a channel, in sums over blocks of samples."""
+    block = colour.block
+    moves, square = sums_of(change * left, block), sums_of(change**2, block)
+    count = min(colour.freedom, (len(square) - 1) // 2)
     sums = on_cosines(moves, count)
     lags = np.concatenate([[square.sum()], on_cosines(square, 2 * count) / math.sqrt(2.0)])
     places = np.arange(1, count + 1)
     products = lags[np.abs(places[:, None] - places)] + lags[places[:, None] + places]
     products -= np.outer(lags[places], lags[places]) * (2.0 / lags[0])
+    if leverage is not None:
+        slow = leverage.along(sums_of(change, block))
+        along = math.sqrt(2.0) * np.outer(lags[places], slow.sum(axis=0) / lags[0])
+        taken = on_cosines(slow, count) - along
+        products -= taken @ taken.T
     white = float(np.trace(products))
     if white <= SMALLEST * count * lags[0]:  # all of it is in one block, and lies along d
         return Power(0.0, 0.0)
     return Power(float(sums @ sums) / white, white**2 / float(np.sum(products**2)))
 
 
-def _by_spectrum(left: Array, change: Array, block: int = 1) -> Power:
+def _by_spectrum(left: Array, change: Array, colour: Colour, leverage: Leverage | None) -> Power:
     """Return equation (2) of a channel; noise is white above what sums over blocks of samples show."""
-    square = float(change @ change)
-    slow = _sums(left, block) / math.sqrt(block)
-    lines = np.abs(rfft(_sums(change, block))) ** 2 / (block * square)
+    block, square = colour.block, float(change @ change)
+    slow = sums_of(left, block) / math.sqrt(block)
+    along = sums_of(change, block) / math.sqrt(block * square)
+    lines = np.abs(rfft(along)) ** 2
     weights = _twice(len(slow)) * lines / len(slow)
     fast = max(1.0 - float(weights.sum()), 0.0)
     first, last = _bands(len(lines))
     # How much each line of the periodogram counts: in every band that it is in.
     shares, size = weights / (last - first + 1), len(lines) + 1
     counts = np.cumsum(np.bincount(first, shares, size) - np.bincount(last + 1, shares, size))[:-1]
-    white = float(counts @ (1.0 - lines / len(slow))) + fast
+    taken = lines / len(slow)
+    if leverage is not None:
+        taken = np.minimum(taken + leverage.lines_without(along), 1.0)
+    white = float(counts @ (1.0 - taken)) + fast
     uncertain = float(counts @ counts)
     freedom = 2.0 * (float(counts.sum()) + fast) ** 2 / uncertain if uncertain else math.inf
     return Power((float(weights @ spectrum(slow)) + fast) / white, freedom)
-
-
-def _block(colour: Colour) -> int:
-    """Return over how many samples sums are: an autoregression sees what is faster than they show."""
-    return max(1, colour.error.order // 2)
-
-
-def _sums(samples: Array, block: int) -> Array:
-    """Return the sums of samples (N,) or (N, k) over blocks; the last one may be shorter."""
-    if block == 1:
-        return samples
-    return np.add.reduceat(samples, np.arange(0, len(samples), block), axis=0)
 
 
 def _twice(count: int) -> Array:
@@ -226,10 +241,13 @@ def log_likelihood_ratios_in(powers: Sequence[Power], squares: Sequence[float]) 
 
 
 def power_along(
-    left: Sequence[Array], changes: Sequence[Array], colours: Sequence[Colour]
+    left: Sequence[Array],
+    changes: Sequence[Array],
+    colours: Sequence[Colour],
+    leverages: Sequence[Leverage] = (),
 ) -> Power:
     """Return the power of all channels together (`together`)."""
-    return together(powers_along(left, changes, colours), changes)
+    return together(powers_along(left, changes, colours, leverages), changes)
 
 
 def together(powers: Sequence[Power], changes: Sequence[Array]) -> Power:
@@ -251,7 +269,7 @@ def together(powers: Sequence[Power], changes: Sequence[Array]) -> Power:
     return Power(noisy / total, noisy**2 / uncertain if uncertain > 0.0 else math.inf)
 
 
-def information(systems: Sequence[Array], estimate: Fit) -> Array:
+def information(systems: Sequence[Array], estimate: Fit, leverages: Sequence[Leverage]) -> Array:
     """
     Return what white rows A_c (N, k) of all channels say of what is fitted to them jointly: (k, k).
 
@@ -261,36 +279,71 @@ def information(systems: Sequence[Array], estimate: Fit) -> Array:
 
     J_c (k, k) the covariance of A_c' e_c: of an exact channel A_c' A_c, else along any direction the
     larger one of the two that `powers_along` has, of the products A_c e_c by cosines and by the averaged
-    periodogram of e_c. What misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
+    periodogram of e_c, each over what white noise would have of it beside the fit (`leverage`). What
+    misfit adds is in the sum (`misfit`, equation 3). This is the inverse, zero
     along what A does not show (`gram.spanning`). No direction has less noise than the noise model says:
     some of k have next to none by chance, or none where k is large, and what was fitted would be known
     there to the last digit.
     """
     products = np.sum([part.T @ part for part in systems], axis=0)
-    moving, slow, more = (np.zeros_like(products) for _ in range(3))
-    for part, white, one in zip(systems, estimate.whitened, estimate.colours, strict=True):
-        if one.error.order:
-            projected = on_cosines(part * white[:, None], one.freedom)
-            moving += projected.T @ projected / one.freedom
-            slow += _covariance_by_spectrum(part, white, _block(one))
+    moving, white, slow, more = (np.zeros_like(products) for _ in range(4))
+    for part, left, colour, own in zip(
+        systems, estimate.whitened, estimate.colours, leverages, strict=True
+    ):
+        if colour.error.order:
+            projected = on_cosines(part * left[:, None], colour.freedom)
+            moving += projected.T @ projected / len(projected)
+            white += _of_white_noise(part, own, len(projected))
+            slow += _covariance_by_spectrum(part, left, own)
         else:
             more += part.T @ part
     for places, logs in misfit.of_axes([noise.state for noise in estimate.noises]):
-        rows, left = ([some[place] for place in places] for some in (systems, estimate.whitened))
-        more += misfit.covariance_of(rows, left, logs)
+        taken = misfit.taken_by([leverages[place].of_state for place in places])
+        more += misfit.covariance_of(
+            [systems[place] for place in places],
+            [estimate.whitened[place] for place in places],
+            logs,
+            taken,
+        )
     basis = spanning(products)
-    moving, slow, more = (basis.T @ one @ basis for one in (moving, slow, more))
+    moving, white, slow, more = (basis.T @ one @ basis for one in (moving, white, slow, more))
     least = np.eye(len(more))
+    moving = _relative(moving, white, FEWEST_FREEDOM)
     noisy = _larger(_larger(moving, slow) + more, least)
     shown = products @ basis
     return np.asarray(shown @ np.linalg.solve(noisy, shown.T), np.float64)
 
 
-def _covariance_by_spectrum(rows: Array, left: Array, block: int) -> Array:
+def _of_white_noise(rows: Array, leverage: Leverage, count: int) -> Array:
+    """Return the covariance (k, k) of A' e by K = `count` cosines where noise is white, beside a fit."""
+    angles = (np.arange(len(rows)) + 0.5) * (math.pi / len(rows))
+    waves = np.sin(count * angles) * np.cos((count + 1) * angles) / np.sin(angles)
+    found = (rows * (1.0 + waves / count)[:, None]).T @ rows
+    taken = [on_cosines(leverage.along(part), count) for part in sums_of(rows, leverage.block).T]
+    products = np.reshape(taken, (len(found), -1))
+    return np.asarray(found - products @ products.T / count)
+
+
+def _relative(found: Array, white: Array, count: int) -> Array:
+    """
+    Return a covariance over what white noise would have of it, in directions in which that had one.
+
+    C found C' with C white C' = 1; of a direction in which less than one of `count` degrees of freedom
+    is left of white noise, no more than one.
+    """
+    size, directions = np.linalg.eigh(white)
+    root = directions / np.sqrt(np.maximum(size, 1.0 / count))
+    both = root @ directions.T
+    return np.asarray(both @ found @ both)
+
+
+def _covariance_by_spectrum(rows: Array, left: Array, leverage: Leverage) -> Array:
     """Return the covariance (k, k) of A' e for e with the averaged periodogram of what is left over."""
-    slow, own = _sums(left, block) / math.sqrt(block), _sums(rows, block) / math.sqrt(block)
+    block = leverage.block
+    slow, own = (sums_of(some, block) / math.sqrt(block) for some in (left, rows))
+    power = spectrum(slow) / np.maximum(1.0 - _averaged(leverage.lines), 1.0 / len(slow))
     lines = rfft(own, axis=0)
-    weights = _twice(len(slow)) * (spectrum(slow) - 1.0) / len(slow)
+    weights = _twice(len(slow)) * (power - 1.0) / len(slow)
     more = (lines.conj() * weights[:, None]).T @ lines
     return np.asarray(rows.T @ rows + more.real)
 

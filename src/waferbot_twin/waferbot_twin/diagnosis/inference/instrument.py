@@ -47,6 +47,7 @@ from waferbot_twin.estimation.gauss_newton import (
 from waferbot_twin.estimation.hypothesis import Hypothesis, in_quick_steps, parameters_of
 from waferbot_twin.estimation.size_prior import away_from_neutral, precision
 from waferbot_twin.estimation.stacked_least_squares import Signature, by_channel, side_by_side
+from waferbot_twin.noise_model.leverage import Leverage
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import power_along
 from waferbot_twin.residuals.commanded_record import as_commanded, tells_command
@@ -164,6 +165,7 @@ def _gain_along(
     left: list[Array] = []
     caused: list[list[Array]] = [[] for _ in free]
     colours: list[Colour] = []
+    leverages: list[Leverage] = []
     for block, fit in more.fits.items():
         channels = more.residuals[block]
         done = in_deviations(fit.colours, by_channel(change[block], channels))
@@ -185,12 +187,15 @@ def _gain_along(
         present += before
         left += after
         colours += fit.colours
+        leverages += fit.leverages
     along = explained(changed, caused)
     square = sum(float(z @ z) for z in along)
     signals = sum(float(z @ b) for z, b in zip(along, present, strict=True))
     if square == 0.0 or signals <= 0.0:
         return exact
-    return exact + power_along(left, along, colours).log_likelihood_ratio(signals**2 / square)
+    return exact + power_along(left, along, colours, leverages).log_likelihood_ratio(
+        signals**2 / square
+    )
 
 
 def explained(change: Sequence[Array], caused: Sequence[Sequence[Array]]) -> list[Array]:

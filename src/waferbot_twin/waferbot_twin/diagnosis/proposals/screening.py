@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from joblib import Parallel, delayed
@@ -58,6 +59,7 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
 )
 from waferbot_twin.noise_model.gram import spanning
+from waferbot_twin.noise_model.leverage import Leverage, sums_of
 from waferbot_twin.noise_model.power import Power, WholePower
 from waferbot_twin.noise_model.prediction_error import Colour, in_deviations
 from waferbot_twin.noise_model.residual_spectrum import (
@@ -536,10 +538,19 @@ class _Known:
         Of usual deviations there are few, and how large they are follows from themselves
         (`residuals.prior_block`, equation (2)).
         """
-        powers = powers_along(left, changes, self.colours)
+        powers = powers_along(left, changes, self.colours, self.leverages)
         return [
             WholePower.of(one) if block == PRIOR else power
             for (block, _), one, power in zip(self.places, left, powers, strict=True)
+        ]
+
+    @cached_property
+    def leverages(self) -> list[Leverage]:
+        """Those of the known causes in every channel."""
+        parts = self.split(self.columns)
+        return [
+            Leverage(sums_of(part, colour.block), colour.block)
+            for part, colour in zip(parts, self.colours, strict=True)
         ]
 
     def split(self, rows: Array) -> list[Array]:
