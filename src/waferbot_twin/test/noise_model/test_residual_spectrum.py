@@ -17,6 +17,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, norm
 from scipy.stats import t as student
 
+from waferbot_twin.noise_model.noise_beside_fit import leverages_of
 from waferbot_twin.noise_model.power import WholePower
 from waferbot_twin.noise_model.prediction_error import (
     FEWEST_FREEDOM,
@@ -26,7 +27,6 @@ from waferbot_twin.noise_model.prediction_error import (
     fit,
     freedom_of,
     in_deviations,
-    leverages_of,
     likelihood,
     whitened,
 )
@@ -119,7 +119,9 @@ def of_intervals(noise, signatures):
         channels = [NOISE[noise](random)]
         found = fit(channels, [signatures], [Noise(1e-9, ORDER)])
         system, _ = whitened(channels, [signatures], found.colours)
-        leverages = leverages_of([system], found.noises, found.colours, np.zeros(count))
+        leverages = leverages_of(
+            [system], found.whitened, found.noises, found.colours, np.zeros(count)
+        )
         error = np.sqrt(np.diag(np.linalg.inv(information([system], found, leverages))))
         values.append(found.value)
         reaches.append(student(FEWEST_FREEDOM).ppf(0.975) * error)
@@ -136,7 +138,7 @@ def test_no_direction_of_many_is_known_better_than_in_noise_as_assumed():
     system, _ = whitened([random.normal(size=SAMPLES)], [signatures], found.colours)
     as_assumed = np.linalg.cholesky(system.T @ system)
     nothing_known = np.zeros(signatures.shape[1])
-    leverages = leverages_of([system], found.noises, found.colours, nothing_known)
+    leverages = leverages_of([system], found.whitened, found.noises, found.colours, nothing_known)
     half = np.linalg.solve(as_assumed, information([system], found, leverages))
     shares = np.linalg.eigvalsh(np.linalg.solve(as_assumed, half.T))
     assert shares.max() < 1.0 + 1e-9
@@ -185,7 +187,7 @@ def test_white_noise_has_a_power_of_one_beside_much_that_was_fitted(estimate, wi
     precision = np.full(8, prior)
     colour = Colour(PredictionError(np.zeros(25), np.zeros(0), 0), 1.0)
     noises = [Noise(1e-9, 24)]
-    (leverage,) = leverages_of([system], noises, [colour], precision)
+    (leverage,) = leverages_of([system], [np.zeros(SAMPLES)], noises, [colour], precision)
     products = system.T @ system + np.diag(precision)
     change = system[:, 2]
     beside, alone = [], []

@@ -66,10 +66,10 @@ from waferbot_twin.estimation.stacked_least_squares import (
     side_by_side,
 )
 from waferbot_twin.noise_model.leverage import Leverage
+from waferbot_twin.noise_model.noise_beside_fit import leverages_of
 from waferbot_twin.noise_model.prediction_error import (
     Fit,
     in_deviations,
-    leverages_of,
     normal_equations,
     reduced,
 )
@@ -241,7 +241,7 @@ def _with_covariance(
     rows = in_deviations(estimate.colours, Stacked.of(now.residuals, together).signatures)
     prior = _prior(problem, now)
     products = np.sum([part.T @ part for part in rows], axis=0)
-    leverages = leverages_of(rows, estimate.noises, estimate.colours, prior)
+    leverages = leverages_of(rows, estimate.whitened, estimate.noises, estimate.colours, prior)
     linear = linearise(problem, now, signatures)
     best = _bounded(now.causes, names_of(problem, now.causes), linear, Reach())
     return replace(

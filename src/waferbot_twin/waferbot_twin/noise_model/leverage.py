@@ -39,16 +39,18 @@ class Leverage:
     """
     The columns U (N, k) of equation (1) in a channel, as `sums` (n, k) over a `block` of samples.
 
-    And their products (m, k) with the functions of the state of its axis (`misfit`), none without.
+    And their products (m, k) with the functions of the state of its axis (`misfit`), none without; and
+    the spectrum (n // 2 + 1,) of the noise while that moves (`noise_beside_fit`), empty if not known.
     """
 
     sums: Array
     block: int
     of_state: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    while_moving: Array = field(default_factory=lambda: np.zeros(0))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Go to another process without the transform: it is found there sooner than sent."""
-        return Leverage, (self.sums, self.block, self.of_state)
+        return Leverage, (self.sums, self.block, self.of_state, self.while_moving)
 
     def along(self, change: Array) -> Array:
         """Return products (n, k) of U with sums (n,) over the same blocks, block by block."""
@@ -58,6 +60,11 @@ class Leverage:
     def lines(self) -> Array:
         """The share of every line of white noise that U takes: sum over j of |F U_j|^2 / n."""
         return self._squares / len(self.sums)
+
+    def lines_within(self, window: Array) -> Array:
+        """Return what `lines` are of noise within a window (n,) of mean square one."""
+        columns = window[:, None] * self.sums / math.sqrt(self.block)
+        return np.asarray(np.sum(np.abs(rfft(columns, axis=0)) ** 2, axis=1) / len(window))
 
     def lines_without(self, direction: Array) -> Array:
         """

@@ -69,6 +69,14 @@ def motion_basis(position: Array) -> Array:
     return np.asarray(left[:, size > 1e-6 * size[0]])
 
 
+def moves(position: Array) -> NDArray[np.bool_]:
+    """Return whether an axis at `position` (n,), in any unit, goes faster than v_0, sample by sample."""
+    if len(position) < FEWEST:
+        return np.zeros(len(position), np.bool_)
+    speed = np.abs(np.gradient(smooth(position - position.mean())))
+    return np.asarray(speed > STANDS * speed.max())
+
+
 def smooth(position: Array) -> Array:
     """
     Return the smoothing spline of a position (n,): least sum of squares of what it leaves, and of its

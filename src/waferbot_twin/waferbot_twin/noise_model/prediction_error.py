@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 
 from waferbot_twin.noise_model.fir_filter import filtered
 from waferbot_twin.noise_model.gram import SMALLEST, spanning
-from waferbot_twin.noise_model.leverage import Leverage, directions_of, sums_of
+from waferbot_twin.noise_model.leverage import Leverage
 from waferbot_twin.noise_model.misfit import InLog
 from waferbot_twin.noise_model.variance_components import Shapes, prediction_filter
 
@@ -411,27 +411,6 @@ def _log_likelihoods(in_units: Sequence[Array], colours: Sequence[Colour]) -> li
         -len(white) * (math.log(colour.deviation) + 0.5 * (float(np.mean(white**2)) - 1.0))
         for white, colour in zip(in_units, colours, strict=True)
     ]
-
-
-def leverages_of(
-    rows: Sequence[Array], noises: Sequence[Noise], colours: Sequence[Colour], prior: Array
-) -> tuple[Leverage, ...]:
-    """
-    Return the leverage of what is fitted in every channel.
-
-    `rows` (N, k) are its white signatures, `prior` (k,) is the precision of every parameter.
-    """
-    directions = directions_of(rows, prior)
-    return tuple(
-        Leverage(sums_of(part, colour.block) @ directions, colour.block)
-        if noise.state is None
-        else Leverage(
-            sums_of(part, colour.block) @ directions,
-            colour.block,
-            noise.state.along(part) @ directions,
-        )
-        for part, noise, colour in zip(rows, noises, colours, strict=True)
-    )
 
 
 def prediction_errors(fit: Fit, channels: Sequence[Array]) -> list[Array]:

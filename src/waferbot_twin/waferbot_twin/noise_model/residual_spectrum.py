@@ -150,7 +150,8 @@ def powers_along(
         lambda = sum over f of S |D|^2 / sum over f of |D|^2.                                      (2)
 
     That knows nothing of when noise is large, but slow noise, of which a short motion alone shows next
-    to nothing. Each misses what the other one sees, so it is the larger of the two, with the degrees of
+    to nothing; so S is the likeliest spectrum while the axis moves (`noise_beside_fit`) where that makes
+    more of it. Each misses what the other one sees, so it is the larger of the two, with the degrees of
     freedom of the one that has more, K at most. Of a channel that follows to the last bit, where no
     noise is, lambda is 1 and exact. lambda is not less than 1: of many directions that are tried a fit
     takes one in which noise happened to be weak.
@@ -217,7 +218,10 @@ def _by_spectrum(left: Array, change: Array, colour: Colour, leverage: Leverage 
     white = float(counts @ (1.0 - taken)) + fast
     uncertain = float(counts @ counts)
     freedom = 2.0 * (float(counts.sum()) + fast) ** 2 / uncertain if uncertain else math.inf
-    return Power((float(weights @ spectrum(slow)) + fast) / white, freedom)
+    value = (float(weights @ spectrum(slow)) + fast) / white
+    if leverage is not None and len(leverage.while_moving):
+        value = max(value, float(weights @ leverage.while_moving) + fast)
+    return Power(value, freedom)
 
 
 def _twice(count: int) -> Array:
@@ -342,6 +346,8 @@ def _covariance_by_spectrum(rows: Array, left: Array, leverage: Leverage) -> Arr
     block = leverage.block
     slow, own = (sums_of(some, block) / math.sqrt(block) for some in (left, rows))
     power = spectrum(slow) / np.maximum(1.0 - _averaged(leverage.lines), 1.0 / len(slow))
+    if len(leverage.while_moving):
+        power = np.maximum(power, leverage.while_moving)
     lines = rfft(own, axis=0)
     weights = _twice(len(slow)) * (power - 1.0) / len(slow)
     more = (lines.conj() * weights[:, None]).T @ lines

@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -75,7 +75,8 @@ class Shapes:
     The possible colours of a motion residual's noise.
 
     `rate_hz` is the residual's sampling rate, `observer_hz` and `damping` those of its observer;
-    `motion` are orthonormal columns (n, k) that span what the axis does (`motion_basis`).
+    `motion` are orthonormal columns (n, k) that span what the axis does, `moves` (n,) says when
+    (`motion_basis`).
     """
 
     rate_hz: float
@@ -83,10 +84,18 @@ class Shapes:
     damping: float
     motion: Array
     corners_hz: tuple[float, ...] = WHITE_HZ
+    moves: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, np.bool_))
 
     def at(self, frequency_hz: Array) -> Array:
         """Return (k, n): every B_k at n frequencies, each with a mean of one over the whole band."""
-        return self._at(frequency_hz) / self._means
+        return self.as_they_are(frequency_hz, self.corners_hz) / self._means
+
+    def as_they_are(self, frequency_hz: Array, corners_hz: tuple[float, ...]) -> Array:
+        """Return (k, n): every B_k of equation (1) with forces of these corners."""
+        x = frequency_hz / self.observer_hz
+        force = 1.0 / ((1.0 - x**2) ** 2 + (2.0 * self.damping * x) ** 2)
+        forces = [force / (1.0 + (frequency_hz / corner) ** 2) for corner in corners_hz]
+        return np.stack([x**4 * force, np.ones_like(x), *forces])
 
     @cached_property
     def on_grid(self) -> Array:
@@ -96,7 +105,8 @@ class Shapes:
     @cached_property
     def _means(self) -> Array:
         grid_hz = np.linspace(0.0, 0.5 * self.rate_hz, GRID + 1)
-        return np.asarray(self._at(grid_hz).mean(axis=1, keepdims=True))
+        each = self.as_they_are(grid_hz, self.corners_hz)
+        return np.asarray(each.mean(axis=1, keepdims=True))
 
     def on_lines(self, count: int) -> Array:
         """Every B_k on the lines, but that at zero, of the transform of `count` samples."""
@@ -118,12 +128,6 @@ class Shapes:
     @cached_property
     def _motion_lines(self) -> Array:
         return lines_of(self.motion)
-
-    def _at(self, frequency_hz: Array) -> Array:
-        x = frequency_hz / self.observer_hz
-        force = 1.0 / ((1.0 - x**2) ** 2 + (2.0 * self.damping * x) ** 2)
-        forces = [force / (1.0 + (frequency_hz / corner) ** 2) for corner in self.corners_hz]
-        return np.stack([x**4 * force, np.ones_like(x), *forces])
 
 
 def lines_of(rows: Array) -> Array:
@@ -157,13 +161,13 @@ def variances(residual: Array, shapes: Shapes) -> Array:
     for _ in range(ROUNDS):
         power, share = powers_left(lines, motion, spectrum)
         kept = np.maximum(np.bincount(band, share), LEAST_LINES)
-        found = _likeliest(base, np.bincount(band, power) / kept, kept, total, found)
+        found = likeliest(base, np.bincount(band, power) / kept, kept, total, found)
         spectrum = found @ on_lines
     return np.asarray(found, np.float64)
 
 
 @compiled
-def _likeliest(base: Array, power: Array, lines: Array, total: float, start: Array) -> Array:
+def likeliest(base: Array, power: Array, lines: Array, total: float, start: Array) -> Array:
     """Return the variances (k,) after `STEPS` steps from `start`, of noise with the power `total`."""
     count, bands = base.shape
     found = start.copy()

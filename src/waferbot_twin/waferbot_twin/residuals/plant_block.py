@@ -78,7 +78,7 @@ from waferbot_plant.description import Description
 from waferbot_plant.plant import Machine
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant, built
-from waferbot_twin.noise_model.motion_basis import motion_basis
+from waferbot_twin.noise_model.motion_basis import motion_basis, moves
 from waferbot_twin.noise_model.prediction_error import Noise, freedom_of
 from waferbot_twin.noise_model.variance_components import COLOURED_HZ, Shapes
 from waferbot_twin.residuals.flexible_observer import kalman_gains
@@ -183,6 +183,7 @@ class PlantBlock:
                     float(self._observer_hz[place]),
                     OBSERVER_DAMPING,
                     motion_basis(self.measured(ENCODERS[place])),
+                    moves=moves(self.measured(ENCODERS[place])),
                 ),
                 freedom=freedom_of(record.duration_s),
             )
