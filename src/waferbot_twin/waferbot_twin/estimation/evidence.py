@@ -145,7 +145,7 @@ def _seen_from(
             powers = [power.as_if_known for power in powers]
         ratios = log_likelihood_ratios_in(powers, squares)
         states = [noise.state for noise in fit.noises]
-        taken = [one.of_state for one in fit.leverages] or [np.zeros((0, 0))] * len(states)
+        taken = [one.of_state if one else np.zeros((0, 0)) for one in fit.leverages]
         found += [
             _Channel(*one)
             for one in zip(ratios, squares, left, changes, states, taken, strict=True)

@@ -197,7 +197,7 @@ class Fit:
     `value` (k,) and its covariance (k, k); `log_likelihood`; `samples` how many went in; `whitened`
     the white residual of each channel, divided by its standard deviation; `colours` and what was known
     of the `noises` those of each channel. `leverages` are those of all that was fitted, channel by
-    channel; empty where that is not known.
+    channel; None where they are not known.
     """
 
     value: Array
@@ -207,7 +207,7 @@ class Fit:
     whitened: tuple[Array, ...]
     colours: tuple[Colour, ...]
     noises: tuple[Noise, ...]
-    leverages: tuple[Leverage, ...] = ()
+    leverages: tuple[Leverage | None, ...]
 
 
 def fit(
@@ -397,6 +397,7 @@ def _result(
         tuple(in_units),
         tuple(colours),
         tuple(noises),
+        (None,) * len(noises),
     )
 
 

@@ -127,7 +127,7 @@ def powers_along(
     left: Sequence[Array],
     changes: Sequence[Array],
     colours: Sequence[Colour],
-    leverages: Sequence[Leverage] = (),
+    leverages: Sequence[Leverage | None] = (),
 ) -> list[Power]:
     """
     Return the power of the noise in a direction d, channel by channel, white noise having 1.
@@ -160,7 +160,7 @@ def powers_along(
     as it has coefficients (`_block`), which takes less time.
     """
     found = []
-    known: Sequence[Leverage | None] = leverages or [None] * len(colours)
+    known = leverages or [None] * len(colours)
     for white, change, colour, own in zip(left, changes, colours, known, strict=True):
         square = float(change @ change)
         if not colour.error.order or square == 0.0:
@@ -248,7 +248,7 @@ def power_along(
     left: Sequence[Array],
     changes: Sequence[Array],
     colours: Sequence[Colour],
-    leverages: Sequence[Leverage] = (),
+    leverages: Sequence[Leverage | None] = (),
 ) -> Power:
     """Return the power of all channels together (`together`)."""
     return together(powers_along(left, changes, colours, leverages), changes)

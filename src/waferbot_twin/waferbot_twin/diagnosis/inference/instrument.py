@@ -165,7 +165,7 @@ def _gain_along(
     left: list[Array] = []
     caused: list[list[Array]] = [[] for _ in free]
     colours: list[Colour] = []
-    leverages: list[Leverage] = []
+    leverages: list[Leverage | None] = []
     for block, fit in more.fits.items():
         channels = more.residuals[block]
         done = in_deviations(fit.colours, by_channel(change[block], channels))
