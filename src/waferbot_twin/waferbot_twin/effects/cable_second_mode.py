@@ -46,6 +46,7 @@ EFFECT = Effect(
     _parameters,
     _overlay,
     equation='mass in the middle of two springs of 2 k',
+    rings=True,
     tried_at=(0.25, 0.5, 1.0, 2.0),
     title='mass of the cables',
 )

@@ -251,7 +251,8 @@ class CandidatePool:
     def parts_that_may_give(self) -> tuple[Cause, ...]:
         """Return the compliances of what the model holds rigid, each as its description has it."""
         found: dict[str, Cause] = {}
-        for cause in held_rigid(self.problem, self._candidates):
+        usual = [cause for cause in self._candidates if cause.effect.usual]
+        for cause in held_rigid(self.problem, usual):
             sizes = {item.name: item.typical for item in parameters_of(self.problem, cause)}
             found.setdefault(cause.name, cause.with_values(sizes))
         return tuple(found.values())
