@@ -247,12 +247,18 @@ class Problem:
         """
         Return the same problem with the noise-free logs of the model with these causes.
 
-        None if the loop of a log cannot be closed: what was commanded or the controller is unknown.
+        None if the loop of a log cannot be closed: what was commanded or the controller is unknown. None
+        either where other channels are judged in them: an encoder with coarse steps moves no windings.
         """
         if not all(record.closes_loop for record in self.records):
             return None
         variant = apply_all(self.nominal, causes)
-        return Problem(self.nominal, [simulate(variant, record) for record in self.records])
+        found = Problem(self.nominal, [simulate(variant, record) for record in self.records])
+        return found if found._channels() == self._channels() else None
+
+    def _channels(self) -> dict[str, list[str]]:
+        """Return the names of the channels of every block of the logs, log by log."""
+        return {block: self.channel_names(block) for block in self.blocks if block != PRIOR}
 
     def with_coloured_forces(self) -> Problem:
         """Return the same problem with noise whose forces may have a colour: to refute causes."""

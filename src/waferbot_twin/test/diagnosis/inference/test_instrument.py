@@ -27,6 +27,7 @@ from waferbot_twin.engines.inprocess import Twin
 from waferbot_twin.estimation.evidence import gain
 from waferbot_twin.estimation.gauss_newton import all_signatures, fit_causes
 from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.estimation.separable import fitted_apart
 from waferbot_twin.models import load_model
 from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
@@ -128,3 +129,36 @@ def test_noise_free_logs_are_those_of_the_loops_that_are_stable():
     assert noise_free_logs(problem, found) == ["logs of ['found']", 'logs of []']
     problem.ideal = lambda causes: None
     assert noise_free_logs(problem, found) == []
+
+
+def test_a_loop_with_other_channels_is_no_instrument():
+    """An encoder in coarse steps moves no windings: the nominal model's has channels more."""
+    nominal = Variant.of(load_model('rigid'))
+    coarse = find('coarse_quantisation')
+    cause = Cause(coarse, 'x_rotate', {'step': 20.0})
+    twin = Twin.of(
+        apply_all(nominal, [cause]).model(), Timing(), load_experiment('random_x_rotate')
+    )
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(Timing().ticks(0.6)))])
+    found = evaluate(problem, (cause,))
+    (own,) = noise_free_logs(problem, found)
+    assert {block: own.channel_names(block) for block in own.blocks} == {
+        block: problem.channel_names(block) for block in problem.blocks
+    }
+    assert problem.ideal(()) is None
+
+
+def test_blocks_of_which_nothing_was_fitted_are_judged_as_well():
+    """A friction changes the plant alone; the windings have noise, too, and nothing that was fitted."""
+    print(f'seed {SEED}')
+    nominal, friction = Variant.of(load_model('rigid')), find('coulomb_friction')
+    typical = friction.typical(nominal, 'x_rotate')
+    real = friction.apply(nominal, 'x_rotate', typical)
+    noisy = real.with_overlay(noise(real, 1.0, SEED, np.random.default_rng(SEED)))
+    twin = Twin.of(noisy.model(), Timing(), load_experiment('random_x_rotate'))
+    problem = Problem(nominal, [record_of_signals('log', twin.advance(Timing().ticks(0.6)))])
+    more = fitted_apart(problem, (Cause(friction, 'x_rotate', typical),))
+    assert all(more.fits['plant'].leverages)
+    assert not any(more.fits['windings'].leverages)
+    by_command = instrumented_gain(problem, more, (), noise_free_logs(problem, more))
+    assert by_command > 10.0
