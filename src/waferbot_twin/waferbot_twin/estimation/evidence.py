@@ -243,8 +243,19 @@ def log_evidence(
     scales: Sequence[float],
     gained: float | None = None,
 ) -> float:
+    """Return ln BF of the last cause of `more` against `fewer`, which is without it (`evidence_of`)."""
+    return evidence_of(problem, more, fewer, scales, gained)[0]
+
+
+def evidence_of(
+    problem: Problem,
+    more: Hypothesis,
+    fewer: Hypothesis,
+    scales: Sequence[float],
+    gained: float | None = None,
+) -> tuple[float, float]:
     """
-    Return ln BF of the last cause of `more` against `fewer`, which is without it.
+    Return ln BF of the last cause of `more` against `fewer`, which is without it, and the gain in it.
 
     And against next to none of it: a machine with that is one without, in other springs
     (`hypothesis.with_next_to_none`). `gained` is equation (1), if somebody has a better one.
@@ -258,4 +269,4 @@ def log_evidence(
     if next_to_none is not None:
         gained = min(gained, gain(more, next_to_none))
     others = log_prior(problem, more.causes[:-1]) - log_prior(problem, fewer.causes)
-    return gained + others + occam
+    return gained + others + occam, gained

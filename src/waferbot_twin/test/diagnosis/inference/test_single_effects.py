@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -189,3 +190,26 @@ def test_none_is_no_more_probable_than_beside_the_plainest_candidate(monkeypatch
     assert effect.best.cause.name == 'likelier'
     assert effect.inclusion > 0.999
     assert effect.best.probability == pytest.approx(1.0 / (1.0 + math.exp(-4.0)), rel=1e-3)
+
+
+def test_which_machine_it_is_does_not_depend_on_what_springs_do_alone(monkeypatch):
+    """Cables with a mass count against those without it; against other cables they do all they do."""
+
+    def member(name, gained, counted):
+        found = SimpleNamespace(
+            causes=(SimpleNamespace(name=name),), log_likelihood=gained, gained=gained
+        )
+        return Member(found, counted - 10.0, PRIOR, gained=counted)
+
+    cables, mode = member('cables', 100.0, 100.0), member('mode', 150.0, 30.0)
+
+    def gain(this, other):
+        return this.gained if other is None else this.gained - other.gained
+
+    monkeypatch.setattr(single_effects, 'gain', gain)
+    effect = posterior_of(None, [cables, mode])
+    assert effect.best.cause.name == 'mode'
+    assert effect.best.probability == pytest.approx(1.0)
+    # By what each gains against none the cables would be it.
+    alone = posterior_of(None, [replace(one, gained=None) for one in (cables, mode)])
+    assert alone.best.cause.name == 'cables'

@@ -38,7 +38,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
 )
 from waferbot_twin.diagnosis.proposals.cogging_orders import has_orders, measured_by_others
 from waferbot_twin.diagnosis.proposals.screening import Screened, at_its_sizes, untempered
-from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
+from waferbot_twin.estimation.evidence import evidence_of, gain, information_of, log_occam
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -472,14 +472,10 @@ def posterior_beside(
         for one in refitted
         if not on_a_bound(problem, one, -1) and _is_there(problem, one.causes[-1])
     ]
-    members = [
-        Member(
-            one,
-            log_evidence(problem, one, base, settings.prior_scales),
-            pool.log_prior(one.causes[-1]),
-        )
-        for one in refitted
-    ]
+    members = []
+    for one in refitted:
+        evidence, gained = evidence_of(problem, one, base, settings.prior_scales)
+        members.append(Member(one, evidence, pool.log_prior(one.causes[-1]), gained=gained))
     return posterior_of(base, members)
 
 

@@ -36,12 +36,17 @@ from waferbot_twin.residuals.problem import Cause, Problem
 
 @dataclass(frozen=True)
 class Member:
-    """A candidate for one effect, fitted beside the others: ln BF, ln of its prior odds, probability."""
+    """
+    A candidate for one effect, fitted beside the others: ln BF, ln of its prior odds, probability.
+
+    `gained` is what counts as its gain in ln BF (`evidence.evidence_of`), if that is not all it gains.
+    """
 
     found: Hypothesis
     log_evidence: float
     log_prior: float
     probability: float = 0.0
+    gained: float | None = None
 
     @property
     def cause(self) -> Cause:
@@ -217,9 +222,13 @@ def _relative(base: Hypothesis, members: Sequence[Member]) -> dict[int, float]:
     Return ln of the posterior odds of each member against the one that no other beats, by its id.
 
     Two candidates are compared along what they do differently, not along what both explain. Begun
-    with the likeliest, the one that is ahead of it takes its place until none is.
+    with the likeliest, the one that is ahead of it takes its place until none is. Whole machines are:
+    what the springs do that a cause needs is as much a part of it there as those of a compliance.
     """
-    own = [one.log_odds - gain(one.found, base) for one in members]
+    own = [
+        one.log_odds - (gain(one.found, base) if one.gained is None else one.gained)
+        for one in members
+    ]
     place = max(range(len(members)), key=lambda number: members[number].found.log_likelihood)
     seen: set[int] = set()
     while True:
