@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,30 +67,27 @@ def leverages_of(
 def _in_channel(
     rows: Array, left: Array, noise: Noise, colour: Colour, directions: Array
 ) -> Leverage:
-    block, nothing = colour.block, np.zeros((0, 0))
-    columns = sums_of(rows, block) @ directions
-    of_state = nothing if noise.state is None else noise.state.along(rows) @ directions
-    found = Leverage(columns, block, of_state)
-    if noise.shapes is None or noise.beside or not colour.error.order:
+    found = Leverage(sums_of(rows, colour.block) @ directions, colour.block)
+    if noise.state is not None:
+        found = replace(found, of_state=noise.state.along(rows) @ directions)
+    if noise.shapes is None or noise.beside:
         return found
-    return Leverage(columns, block, of_state, while_moving(left, colour, noise.shapes, found))
+    return replace(found, while_moving=while_moving(left, colour, noise.shapes, found))
 
 
 def while_moving(white: Array, colour: Colour, shapes: Shapes, leverage: Leverage) -> Array:
     """
     Return equation (1) at the lines of sums over blocks, (n // 2 + 1,), white noise having 1.
 
-    Of what a fit leaves over in a channel. Empty if its axis does not move there, or stands all the time
-    that was not taken.
+    Of what a fit leaves over in a channel. Empty if its axis does not move there.
     """
     block = colour.block
     slow = sums_of(white, block) / math.sqrt(block)
     count = len(slow)
     share = sums_of(shapes.moves[len(shapes.moves) - len(white) :].astype(float), block)
-    square = float(np.mean(share**2)) if len(share) == count else 0.0
-    if count < 4 or square == 0.0:
+    if len(share) != count or not share.any():
         return np.zeros(0)
-    window = share / math.sqrt(square)
+    window = share / math.sqrt(float(np.mean(share**2)))
     power = np.abs(rfft(window * slow))[1:] ** 2 / count
     kept = np.maximum(1.0 - leverage.lines_within(window)[1:], 0.0)
     each = _in_sums(colour, shapes, count)
