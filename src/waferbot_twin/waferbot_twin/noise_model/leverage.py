@@ -9,8 +9,8 @@ beside that prior, e with the covariance
 
 A (N, k) the white signatures of all that is fitted. So a power that is found in e is one relative to
 what white noise would leave there, not to one. In a log of a second an axis moves for half of it, and
-noise that is slower than 10 Hz has ten degrees of freedom in that time; five parameters take half of
-them.
+noise that is slower than 10 Hz has ten degrees of freedom in that time; five parameters take up to half
+of them.
 
 Sources: H. D. Patterson, R. Thompson, Biometrika 58, 1971 (restricted maximum likelihood); for
 covariances that are found of what is left over R. M. Bell, D. F. McCaffrey, Survey Methodology 28, 2002

@@ -157,7 +157,7 @@ def powers_along(
     takes one in which noise happened to be weak.
 
     What an autoregression can see is white already. So both are found of sums over half as many samples
-    as it has coefficients (`_block`), which takes less time.
+    as it has coefficients (`Colour.block`), which takes less time.
     """
     found = []
     known = leverages or [None] * len(colours)
