@@ -71,14 +71,29 @@ def test_a_diagnosis_gives_its_corrected_parameters_to_the_library(tmp_path):
     (tmp_path / 'report.json').write_text(
         json.dumps(
             {
-                'causes': [],
+                'causes': [
+                    {
+                        'effect': 'load',
+                        'axis': 'y_rotate',
+                        'parameters': {'offset_x': {'value': 1, 'unit': 'm', 'told': False}},
+                    }
+                ],
                 'corrections': [
+                    {
+                        'path': 'bodies.carriage.mass_kg',
+                        'unit': 'kg',
+                        'found': 4.97,
+                        'low': 4.7,
+                        'high': 5.2,
+                        'on_bound': True,
+                    },
                     {'path': INERTIA, 'unit': 'kg m2', 'found': 0.6, 'low': 0.5, 'high': 0.7},
                     {'path': 'logs.x_rotate.skew_s', 'unit': 's', 'found': 0, 'low': 0, 'high': 1},
                 ],
             }
         )
     )
+    # What is on its bound, or what the logs do not tell, is no finding.
     (found,) = read_entries(tmp_path, 'robot_1', '2026-01-01', {})
     assert (found.part, found.path, found.low, found.high) == ('body', INERTIA, 0.5, 0.7)
 

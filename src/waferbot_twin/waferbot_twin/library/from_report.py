@@ -26,10 +26,12 @@ SECTIONS = {
 """Sections of a model all of whose entries are of one type."""
 
 
+_FOUND = {'on_bound': {'type': 'boolean'}, 'told': {'type': 'boolean'}}
 _VALUE = {
     'type': 'object',
     'required': ['value', 'unit'],
     'properties': {
+        **_FOUND,
         'value': NUMBER,
         'unit': TEXT,
         'low95': {'anyOf': [NUMBER, {'type': 'null'}]},
@@ -57,6 +59,7 @@ _SCHEMA = {
                 'type': 'object',
                 'required': ['path', 'unit', 'found', 'low', 'high'],
                 'properties': {
+                    **_FOUND,
                     'path': TEXT,
                     'unit': TEXT,
                     'found': NUMBER,
@@ -115,6 +118,7 @@ def read_entries(
                 origin=f'diagnose: {report}', **_interval(one), **common,
             )
             for parameter, one in cause['parameters'].items()
+            if _is_finding(one)
         ]  # fmt: skip
     found += [
         Entry(
@@ -122,11 +126,17 @@ def read_entries(
             path=one['path'], origin=f'diagnose: {report}', **common,
         )
         for one in data.get('corrections', [])
-        if not one['path'].startswith('logs.')  # the time of a drive is that of a log
+        # The time of a drive is that of a log.
+        if _is_finding(one) and not one['path'].startswith('logs.')
     ]  # fmt: skip
     if not found:
         raise UserError(f'{file}: nothing was identified in it')
     return tuple(found)
+
+
+def _is_finding(one: dict[str, Any]) -> bool:
+    """Return whether a diagnosis found a value: the logs tell it, and it is not on a bound."""
+    return one.get('told', True) and not one.get('on_bound', False)
 
 
 def _interval(one: dict[str, Any]) -> dict[str, Any]:
