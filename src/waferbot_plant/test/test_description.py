@@ -129,6 +129,20 @@ def _drop(*keys):
         ),
         (_drop('joints', 'first_guide'), ['bodies.first', 'no joint']),
         (
+            _set('joints', 'first_guide', 'freedoms', 'first', 'locked', True),
+            ['axes.y_linear', 'first is locked', 'moves'],
+        ),
+        (
+            _set('joints', 'first_guide', 'freedoms', 'first', 'locked', 'yes'),
+            ['joints.first_guide.freedoms.first.locked', 'boolean'],
+        ),
+        (
+            lambda data: data['joints']['second_guide']['freedoms']['second'].update(
+                locked=True, held_by=['rope']
+            ),
+            ['joints.second_guide.freedoms.second.locked', 'leave out one'],
+        ),
+        (
             _set('transmissions', 'rope', 'driven', 'third'),
             ['transmissions.rope.driven', "'third'"],
         ),

@@ -159,3 +159,23 @@ def test_two_link_arm_is_held_by_the_torques_of_statics() -> None:
     shoulder = 9.81 * (4.0 * 0.22 + 2.5 * 0.5) * math.cos(0.3) + elbow
     assert forces['y_rotate'] == pytest.approx(elbow, rel=1e-10)
     assert forces['x_rotate'] == pytest.approx(shoulder, rel=1e-10)
+
+
+def test_what_is_locked_stands_and_the_drive_before_it_twists() -> None:
+    """A torque of 3 Nm against a coupling of 1500 Nm/rad: 2 mrad, and a ring of sqrt(k / J)."""
+    machine = load_machine('locked_cycloidal_drive')
+    parameters = machine.parameters()
+    state = machine.initial_state(parameters)
+    motor, output = (machine.coordinates.index(name) for name in ('motor_angle', 'output_angle'))
+    state[0]['external_force'][motor] = 3.0
+    state[0]['terminals_open'][:] = 1
+    angles = []
+    for _ in range(18000):
+        plant.advance(state, parameters, np.zeros(9))
+        angles.append(state[0]['position'][motor])
+    assert abs(angles[-1] - 3.0 / 1500.0) < 1e-6 * 3.0 / 1500.0
+    assert abs(state[0]['position'][output]) < 1e-11
+    crossings = np.flatnonzero(np.diff(np.sign(np.array(angles) - 3.0 / 1500.0)))
+    ring_hz = 18000.0 / (2.0 * float(np.mean(np.diff(crossings[:6]))))
+    damped = math.sqrt(1500.0 / 0.02 - (1.0 / (2.0 * 0.02)) ** 2) / (2.0 * math.pi)
+    assert ring_hz == pytest.approx(damped, rel=0.01)

@@ -191,14 +191,26 @@ def _reduce(
     return links, link_of, placing, coordinates
 
 
+LOCKED = 1e12
+"""Inertia of a coordinate that is locked, kg or kg m2: 10 kN move it by 5 nm in a second."""
+
+
 def _rotor_inertia(
     description: Description, placing: dict[str, tuple[int, float]], size: int
 ) -> Vector:
-    """Return the rotors' inertia on each minimal coordinate, sum of J ratio^2 (2.21)."""
+    """
+    Return the rotors' inertia on each minimal coordinate, sum of J ratio^2 (2.21).
+
+    What is locked has `LOCKED` there.
+    """
     inertia = np.zeros(size)
     for rotor in description.rotors.values():
         place, ratio = placing[rotor.coordinate]
         inertia[place] += rotor.inertia * ratio**2
+    for name in description.locked:
+        if name in placing:
+            place, ratio = placing[name]
+            inertia[place] += LOCKED * ratio**2
     return inertia
 
 

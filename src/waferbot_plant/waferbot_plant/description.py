@@ -86,12 +86,17 @@ class Body:
 
 @dataclass(frozen=True)
 class Freedom:
-    """One freedom of a joint: slide (m) along, or turn (rad) about, the unit vector `axis`."""
+    """
+    One freedom of a joint: slide (m) along, or turn (rad) about, the unit vector `axis`.
+
+    One that is `locked` is held still from outside, as an output that is bolted to a table.
+    """
 
     name: str
     revolute: bool
     axis: Vector
     connections: tuple[str, ...]
+    locked: bool = False
 
 
 @dataclass(frozen=True)
@@ -428,6 +433,16 @@ class Description:
     formulation: str = MULTIBODY
     payload: Payload | None = None
     titles: Mapping[str, str] = field(default_factory=lambda: USUAL_TITLES)
+
+    @property
+    def locked(self) -> frozenset[str]:
+        """The coordinates that are held still from outside."""
+        return frozenset(
+            freedom.name
+            for joint in self.joints.values()
+            for freedom in joint.freedoms
+            if freedom.locked
+        )
 
     def turns(self, axis: str) -> bool:
         """

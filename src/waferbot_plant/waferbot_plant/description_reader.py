@@ -42,6 +42,7 @@ class Reader:
         self.data = data
         self.revolute: dict[str, bool] = {}
         self.held: set[str] = set()
+        self.locked: set[str] = set()
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.parts: dict[str, Any] = {}
@@ -124,8 +125,12 @@ class Reader:
 
     def axis(self, axis: str) -> str:
         """Return the coordinate of an axis of the contract."""
-        coordinate = self.section('axes')[axis]
-        return self.moving(('axes', axis), coordinate)
+        coordinate = self.moving(('axes', axis), self.section('axes')[axis])
+        if coordinate in self.locked:
+            raise self.document.error(
+                ('axes', axis), f'{coordinate} is locked; an axis is a coordinate that moves'
+            )
+        return coordinate
 
     def title(self, axis: str) -> str:
         """Return what an axis is called, in one line: it stands in lines of tables and in comments."""
@@ -206,6 +211,13 @@ class Reader:
             self.revolute[freedom_name] = freedom['type'] == 'revolute'
             if 'held_by' in freedom:
                 self.held.add(freedom_name)
+            locked = bool(freedom.get('locked', False))
+            if locked and 'held_by' in freedom:
+                raise self.document.error(
+                    (*freedom_key, 'locked'), 'what connections hold is not locked; leave out one'
+                )
+            if locked:
+                self.locked.add(freedom_name)
             for place, connection in enumerate(freedom.get('held_by', ())):
                 self.reference(
                     (*freedom_key, 'held_by', place),
@@ -219,6 +231,7 @@ class Reader:
                     freedom['type'] == 'revolute',
                     axis / length,
                     tuple(freedom.get('held_by', ())),
+                    locked,
                 )
             )
         return Joint(

@@ -61,6 +61,8 @@ def _with_observer(record: Record, nominal: Variant, variant: Variant) -> Record
         return record
     found = list(record.observer_hz or (OBSERVER_HZ,) * len(ENCODERS))
     for place, channel in enumerate(blocks[0].channels):
+        if blocks[0].on_held[place]:  # no observer moves it
+            continue
         # The slowest settles last: all are judged where it is.
         times = [block.times_s(channel) for block in blocks]
         if not len(times[-1]):  # gaps follow one another too quickly

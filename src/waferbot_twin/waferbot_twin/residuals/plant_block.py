@@ -58,6 +58,15 @@ Currents make force as the model's motor says, at the simulated electrical angle
 model's sensors say; where only the part that makes force is known, it is taken to be in phase.
 Positions are seen as the model's encoders see them, without their noise. Axes of which no position was
 logged stand still.
+
+A drive whose output is locked could not move if nothing gave, and no observer has anything to hold: what
+it is corrected by would turn the table that it is bolted to. It does not drift either. So it is driven
+by its currents alone, from the middle of its springs, and
+
+    e = y - c x - mean(y - c x),
+
+as nobody knows where the encoder has its zero. Friction and play keep it where it came from: the log up
+to the first time that it is pushed against either flank is predicted from somewhere else.
 """
 
 from __future__ import annotations
@@ -140,6 +149,12 @@ class PlantBlock:
             if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
         ]
         self.channels = [ENCODERS[place] for place in self._places]
+        locked = variant.description.locked
+        held = {self._rigid[name][0] for name in locked if name in self._rigid}
+        self.on_held = [
+            self._rigid.get(variant.description.encoders[name].coordinate, (-1, 1.0))[0] in held
+            for name in self.channels
+        ]
         # Of the model that is given: which encoder holds an axis is the same for all that are compared.
         self._finest_first = sorted(self._places, key=lambda place: self._step(variant, place))
         self._samples: list[NDArray[np.intp]] = []
@@ -285,7 +300,9 @@ class PlantBlock:
         p = parameters[0]
         together, behind = self._together(machine, p)
         self._stand_where_measured(state, parameters, together, behind)
-        standing = _standing(machine.description, p, together)
+        measured = np.count_nonzero(together, axis=0) > 0
+        measured[p['encoder_coordinate'][self._places]] = True
+        standing = _standing(machine.description, p, measured)
         gains = self._gains(machine, state, parameters, together, behind, standing)
         innovation = np.zeros_like(record.reading)
         later = self._later(p, machine.description.encoder_delay) * record.timing.encoder_divider
@@ -314,9 +331,13 @@ class PlantBlock:
             raise UserError(
                 f'{record.name}: the plant blew up when driven by the measured currents'
             )
-        return [
+        means = [
             _means(innovation, rows, place)
             for place, rows in zip(self._places, self._samples, strict=True)
+        ]
+        return [
+            mean - np.mean(mean) if on_held else mean
+            for mean, on_held in zip(means, self.on_held, strict=True)
         ]
 
     def _later(self, p: np.void, usual: int) -> float:
@@ -390,6 +411,7 @@ class PlantBlock:
         """
         behind = np.full((len(ENCODERS), 2), -1)
         together = np.zeros((len(ENCODERS), len(machine.coordinates)))
+        held = {name for name, on in zip(self.channels, self.on_held, strict=True) if on}
         moves: list[tuple[int | str, float]] = [
             self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
         ]
@@ -397,6 +419,8 @@ class PlantBlock:
         for encoder in self._finest_first:
             coordinate = int(p['encoder_coordinate'][encoder])
             what, own = moves[coordinate]
+            if ENCODERS[encoder] in held:
+                continue
             if what in first:
                 before, its_coordinate = first[what]
                 joint = _joint(p, coordinate, its_coordinate)
@@ -432,9 +456,10 @@ class PlantBlock:
         encoders.fill_readings(s, p)
 
 
-def _standing(description: Description, p: np.void, together: Array) -> NDArray[np.bool_]:
-    """Return which coordinates (n,) are those of an axis of which no position was logged."""
-    measured = np.count_nonzero(together, axis=0) > 0
+def _standing(
+    description: Description, p: np.void, measured: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return which coordinates (n,) are those of an axis of which none is `measured` (n,)."""
     standing = np.zeros(len(measured), np.bool_)
     for place, axis in enumerate(AXES):
         own = [
