@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.description import BASE, Connection, Description, Freedom, Transmission
+from waferbot_plant.spring_curves import SpringCurve
+from waferbot_plant.spring_curves import in_series as curves_in_series
 
 Vector = NDArray[np.float64]
 
@@ -49,7 +51,8 @@ class Element:
     """
     A spring between minimal coordinates: deflection = sum of ratio * z over `terms`.
 
-    `law` has the parameters of `spring_laws` by name; those not in it have no effect.
+    `law` has the parameters of `spring_laws` by name; those not in it have no effect. With a `curve`
+    the force is that of e, and the stiffness its slope at home.
     """
 
     name: str
@@ -60,6 +63,14 @@ class Element:
     rest: float
     pulls_only: bool
     law: Mapping[str, float] = field(default_factory=dict)
+    curve: SpringCurve | None = None
+
+    @property
+    def static_force(self) -> float:
+        """What the spring bears at home, undeflected: the weight, N or Nm."""
+        if self.curve is not None:
+            return self.curve.force(-self.rest)
+        return -self.stiffness * self.rest
 
 
 @dataclass(frozen=True)
@@ -378,6 +389,25 @@ def law_in_series(
     return law
 
 
+def curve_in_series(parts: Sequence[Connection]) -> SpringCurve | None:
+    """
+    Return the curve of connections in series that hold a freedom; None where none has one.
+
+    Raises `UserError` where one follows a chart and another has a law of its own.
+    """
+    curves = [part.curve for part in parts if part.curve is not None]
+    if not curves:
+        return None
+    names = ' + '.join(part.name for part in parts)
+    others = [part for part in parts if part.curve is None]
+    for part in others:
+        if part.gap or part.hardening or part.slip is not None:
+            raise UserError(
+                f'{names}: in series with one that follows a chart, {part.name} must be linear'
+            )
+    return curves_in_series(curves, sum(1.0 / part.stiffness for part in others), names)
+
+
 def _error_law(
     transmission: Transmission, driving_ratio: float, driven_ratio: float
 ) -> dict[str, float]:
@@ -470,7 +500,12 @@ def _held_freedoms(
                     ]
                 )
                 names = tuple(part.name for part in soft)
-                rest = -behaviour.weight_on(freedom.name) / stiffness
+                weight = behaviour.weight_on(freedom.name)
+                rest = -weight / stiffness
+                curve = curve_in_series(soft)
+                if curve is not None:
+                    rest = -curve.deflection(weight)
+                    stiffness = curve.slope(rest)
                 term = placing[freedom.name]
                 elements.append(
                     Element(
@@ -482,6 +517,7 @@ def _held_freedoms(
                         rest,
                         False,
                         law_in_series([(part, part.stiffness, 1.0) for part in soft], stiffness),
+                        curve,
                     )
                 )
     return elements

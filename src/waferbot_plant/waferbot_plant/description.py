@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_TITLES, USUAL_UNITS
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
+from waferbot_plant.spring_curves import SpringCurve
 
 Vector = NDArray[np.float64]
 
@@ -181,7 +182,8 @@ class Connection:
     own unit (see `spring_laws`): whole `gap` in m or rad, `hardening` in 1/m2 or 1/rad2, `slip` in N
     or Nm, a belt's `slack_preload` per strand in N; of a cable, `slack` in m beyond home, and
     `rope_mass` in kg. None: never. `part` is the part that the stiffness is of, `direction` that of a
-    bearing or shaft; None where the stiffness is given.
+    bearing or shaft; None where the stiffness is given. With a `curve` the force follows that; the
+    stiffness is its slope at the static load then.
     """
 
     name: str
@@ -199,6 +201,7 @@ class Connection:
     rope_mass: float = 0.0
     part: Any = None
     direction: str = ''
+    curve: SpringCurve | None = None
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from waferbot_plant.description import (
 from waferbot_plant.description_controllers import read_controller
 from waferbot_plant.description_drives import read_current_sensors, read_encoder, read_motor
 from waferbot_plant.part_library import Carried
+from waferbot_plant.spring_curves import SpringCurve
 
 
 class Reader:
@@ -400,8 +401,10 @@ class Reader:
         flexible = value['state'] == 'flexible'
         law = imperfections.read_spring_law(self, key, rotary, stage_kind)
         more_damping = float(value.get('damping_factor', 1.0))
+        if value.get('stiffness_by') == 'chart':
+            self.check_chart(key, value, law, in_joint=stage_kind is None)
         if 'part' in value:
-            stiffness, loss = self.stiffness_of_part(key, value, rotary)
+            stiffness, loss, curve = self.stiffness_of_part(key, value, rotary)
             return Connection(
                 name,
                 flexible,
@@ -413,6 +416,7 @@ class Reader:
                 **law,
                 part=self.part(key, value),
                 direction=value.get('direction', ''),
+                curve=curve,
             )
         stiffness = float(self.quantity(key, rotary, 'stiffness_n_m', 'stiffness_nm_rad'))
         names = ('damping_n_s_m', 'damping_nm_s_rad')
@@ -426,8 +430,12 @@ class Reader:
 
     def stiffness_of_part(
         self, key: Key, value: dict[str, Any], rotary: bool
-    ) -> tuple[float, float]:
-        """Return stiffness and loss factor of a connection from the data of its part."""
+    ) -> tuple[float, float, SpringCurve | None]:
+        """
+        Return stiffness and loss factor of a connection from the data of its part, and its curve.
+
+        With a curve the stiffness is its slope at the static load; None where it is linear.
+        """
         part = self.part(key, value)
         known = part_library.directions(part)
         direction = value.get('direction', '')
@@ -436,10 +444,17 @@ class Reader:
             raise self.document.error(
                 key, f'direction is {direction!r}; part {value["part"]} has: {choice}'
             )
+
+        def carried() -> Carried:
+            return self.carried_by(self.joint_with(key, value['part']))
+
+        curve = None
         try:
-            stiffness, is_rotary = part_library.stiffness(
-                part, direction, lambda: self.carried_by(self.joint_with(key, value['part']))
-            )
+            if value.get('stiffness_by') == 'chart':
+                curve, load, is_rotary = part_library.curve(part, direction, carried())
+                stiffness = curve.slope(curve.deflection(load))
+            else:
+                stiffness, is_rotary = part_library.stiffness(part, direction, carried)
         except UserError as error:
             raise self.document.error(key, str(error)) from None
         if is_rotary != rotary:
@@ -453,7 +468,23 @@ class Reader:
             raise self.document.error(
                 key, f'part {value["part"]} states no loss; give loss_factor'
             )
-        return stiffness, float(loss)
+        return stiffness, float(loss), curve
+
+    def check_chart(
+        self, key: Key, value: dict[str, Any], law: Mapping[str, Any], in_joint: bool
+    ) -> None:
+        """Refuse a chart of what is no bearing in a joint, and one beside another law of force."""
+        where = (*key, 'stiffness_by')
+        if 'part' not in value:
+            raise self.document.error(where, 'needs a part that has a chart, which bearings have')
+        if not part_library.follows_chart(self.part(key, value)):
+            raise self.document.error(where, f'part {value["part"]} has no chart; bearings have')
+        if not in_joint:
+            raise self.document.error(where, 'is for a connection that holds a freedom of a joint')
+        if law:
+            raise self.document.error(
+                where, f'the chart is the whole law of force; {", ".join(law)} does not go with it'
+            )
 
     def moving(self, key: Key, name: str) -> str:
         """Return the name of a coordinate that moves freely, not one that connections hold."""

@@ -42,6 +42,7 @@ from waferbot_plant.parts.linear_bearing import LinearBearing
 from waferbot_plant.parts.lip_seal import LipSeal
 from waferbot_plant.parts.shaft import Shaft
 from waferbot_plant.parts.y_rotate_bearings import YRotateBearings
+from waferbot_plant.spring_curves import SpringCurve
 
 KINDS: dict[str, type] = {
     'cable': Cable,
@@ -165,6 +166,26 @@ def _bearing_stiffness(
     stiffnesses = cross_roller_bearing.stiffness(part, ring_load(carried))
     rotary = direction != 'radial_y'
     return getattr(stiffnesses, f'{direction}_{"nm_per_rad" if rotary else "n_per_m"}'), rotary
+
+
+def follows_chart(part: Any) -> bool:
+    """Return whether a part has a chart that its springs can follow: bearings have."""
+    return isinstance(part, (LinearBearing, CrossRollerBearing))
+
+
+@lru_cache(maxsize=1024)
+def curve(
+    part: LinearBearing | CrossRollerBearing, direction: str, carried: Carried
+) -> tuple[SpringCurve, float, bool]:
+    """
+    Return a bearing's force over deflection by its chart, the static load, and whether it is rotary.
+
+    N over m, or Nm over rad. `carried` is what hangs on the joint that the part is in.
+    """
+    if isinstance(part, LinearBearing):
+        return *linear_bearing.tilt_curve(part, guide_load(part, carried), direction[-1]), True
+    found = cross_roller_bearing.curve(part, ring_load(carried), direction)
+    return *found, direction != 'radial_y'
 
 
 def guide_load(part: LinearBearing, carried: Carried) -> linear_bearing.BlockLoad:

@@ -333,6 +333,12 @@ class Machine:
         for place, spring in enumerate(self.assembly.springs):
             for name, value in spring.law.items():
                 p[f'spring_{name}'][place] = value
+            if spring.curve is not None:
+                points = len(spring.curve.forces)
+                p['spring_curve_points'][place] = points
+                p['spring_curve_deflection'][place, :points] = spring.curve.deflections
+                p['spring_curve_force'][place, :points] = spring.curve.forces
+                p['spring_curve_slope'][place, :points] = spring.curve.slopes
         p['friction_points'] = p['friction_loads'] = 1
         for place, friction in enumerate(self.description.frictions.values()):
             points, loads = len(friction.speeds), len(friction.loads)

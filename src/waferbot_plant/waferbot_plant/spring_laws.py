@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Springs that are not linear: backlash, hardening, strands that go slack, slip, transmission error.
+Springs that are not linear: backlash, hardening, slack strands, slip, transmission error, charts.
 
 With the deflection e = a z_1 + b z_2 - rest + t(z) and the slipped part q, the force is odd in e - q:
 
@@ -13,6 +13,7 @@ With the deflection e = a z_1 + b z_2 - rest + t(z) and the slipped part q, the 
   other F_pre - k c / 2, zero at k c = 2 F_pre. From there on only one pulls, and the slope is k / 2.
   In series with other springs: beyond the force `slack_force` the slope is `slack_slope` k.
 - At `slip` the rest of the motion goes into q: a clutch, or a belt that jumps teeth or creeps.
+- A spring that follows a curve, as a bearing's chart, has f(e) of `spring_curves` and none of the above.
 - The transmission error t = A cos(order angle - phase) is by how much the driven end stands ahead,
   unloaded; it acts back on the driving end through the same virtual work.
 
@@ -29,6 +30,7 @@ from __future__ import annotations
 import math
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant.spring_curves import LONGEST_CURVE, force_and_slope, work
 
 ROUNDS = 20
 """Most rounds of Newton's method in a step."""
@@ -43,6 +45,7 @@ def parameter_fields(springs: int) -> list[tuple]:
     Without effect: zero for `gap` (m, rad), `hardening` (1/m2, 1/rad2), `error_amplitude` (m, rad);
     infinity for `slack_force` and `slip` (N, Nm). `error_wave` is in rad per unit of the minimal
     coordinate that the error follows: the second of the spring if `error_of_driven`, else the first.
+    A curve has `curve_points` points, zero without one, of deflection (m, rad), force (N, Nm) and slope.
     """
     return [
         ('spring_gap', 'f8', (springs,)),
@@ -54,6 +57,11 @@ def parameter_fields(springs: int) -> list[tuple]:
         ('spring_error_wave', 'f8', (springs,)),
         ('spring_error_phase', 'f8', (springs,)),
         ('spring_error_of_driven', 'i8', (springs,)),
+        ('spring_curve_points', 'i8', (springs,)),
+        *(
+            (f'spring_curve_{name}', 'f8', (springs, LONGEST_CURVE))
+            for name in ('deflection', 'force', 'slope')
+        ),
     ]
 
 
@@ -84,6 +92,7 @@ def find_spring_laws(s, p):
             | (p['spring_error_amplitude'][spring] != 0.0)
             | (p['spring_slack_force'][spring] < math.inf)
             | (p['spring_slip'][spring] < math.inf)
+            | (p['spring_curve_points'][spring] > 0)
         )
     s['any_spring_law'] = found
     if found:
@@ -94,6 +103,7 @@ def find_spring_laws(s, p):
                 or p['spring_error_amplitude'][spring] != 0.0
                 or p['spring_slack_force'][spring] < math.inf
                 or p['spring_slip'][spring] < math.inf
+                or p['spring_curve_points'][spring] > 0
             )
 
 
@@ -150,6 +160,12 @@ def _largest_contact(p, spring):
 @compiled
 def _force_in_contact(p, spring, contact):
     """Return force and slope at a contact deflection of zero or more, without slip."""
+    points = p['spring_curve_points'][spring]
+    if points > 0:
+        return force_and_slope(
+            p['spring_curve_deflection'][spring], p['spring_curve_force'][spring],
+            p['spring_curve_slope'][spring], points, contact,
+        )  # fmt: skip
     stiffness = p['spring_stiffness'][spring]
     slack = p['spring_slack_force'][spring]
     force, slope = stiffness * contact, stiffness
@@ -165,7 +181,8 @@ def _contact(p, spring, elastic, largest):
     """Return the contact deflection with its sign, limited by slip, and whether it is inside."""
     contact = abs(elastic) - 0.5 * p['spring_gap'][spring]
     if contact <= 0.0:
-        return 0.0, False
+        # Unloaded, a curve is in contact all the same: it has no gap.
+        return 0.0, p['spring_curve_points'][spring] > 0
     if contact >= largest:
         return math.copysign(largest, elastic), False
     return math.copysign(contact, elastic), True
@@ -174,6 +191,12 @@ def _contact(p, spring, elastic, largest):
 @compiled
 def _work(p, spring, low, high, largest):
     """Return the integral of the force over a deflection from `low` to `high`, 0 <= low <= high, J."""
+    points = p['spring_curve_points'][spring]
+    if points > 0:
+        return work(
+            p['spring_curve_deflection'][spring], p['spring_curve_force'][spring],
+            p['spring_curve_slope'][spring], points, low, high,
+        )  # fmt: skip
     half_gap = 0.5 * p['spring_gap'][spring]
     stiffness = p['spring_stiffness'][spring]
     slack = p['spring_slack_force'][spring]
@@ -220,7 +243,7 @@ def _mean_force(p, spring, start, end, largest):
 def _force_at(p, spring, elastic, largest):
     """Return the force and its slope at an elastic deflection."""
     contact, inside = _contact(p, spring, elastic, largest)
-    if contact == 0.0:
+    if contact == 0.0 and not inside:
         return 0.0, 0.0
     force, slope = _force_in_contact(p, spring, abs(contact))
     return math.copysign(force, contact), slope if inside else 0.0

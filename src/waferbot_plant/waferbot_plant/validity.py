@@ -19,7 +19,7 @@ Where a run leaves the range in which the model holds, and what its parts bear.
 Loads are those of springs, so a rigid connection has none: what a rigid model asks of its parts is not
 told. The two moments on a guide are added as if their peaks fell together: blocks bear that at most.
 A block at the chart's end is beyond the supplier's data, one outside the secant's range has another
-stiffness than the one that the model has.
+stiffness than the one that the model has; what follows the chart (`stiffness_by`) has no such range.
 """
 
 from __future__ import annotations
@@ -293,6 +293,7 @@ class _Spring:
 
     place: int
     static: float
+    by_chart: bool
 
     def departure(self, loads: Loads) -> NDArray[np.float64]:
         """Return the greatest distance of the load from the static one, N or Nm."""
@@ -312,7 +313,8 @@ def _springs_of_part(machine: Machine, part: object) -> dict[str, _Spring]:
         for name in element.connections:
             connection = machine.description.connections[name]
             if connection.part is part and connection.direction:
-                found[connection.direction] = _Spring(place, -element.stiffness * element.rest)
+                by_chart = connection.curve is not None
+                found[connection.direction] = _Spring(place, element.static_force, by_chart)
     return found
 
 
@@ -342,7 +344,7 @@ def _guide_checks(
             'N',
             abs(about_z.static) / vertical,
             _about([(about_z, vertical), (about_y, horizontal)]),
-            part.load_variability,
+            None if about_z.by_chart else part.load_variability,
             min(chart.load_n[-1] for chart in charts),
         )
     if about_x is not None:
@@ -352,7 +354,7 @@ def _guide_checks(
             'N',
             abs(about_x.static) / vertical,
             _about([(about_x, vertical)]),
-            part.load_variability,
+            None if about_x.by_chart else part.load_variability,
             part.transverse.load_n[-1],
         )
 
@@ -369,7 +371,7 @@ def _ring_checks(
             'N',
             abs(radial.static),
             _about([(radial, 1.0)]),
-            part.load_variability,
+            None if radial.by_chart else part.load_variability,
             part.radial.load_n[-1],
         )
     if about_z is not None:
@@ -385,7 +387,7 @@ def _ring_checks(
             'Nm',
             abs(about_z.static),
             moment,
-            part.load_variability,
+            None if about_z.by_chart else part.load_variability,
             part.moment.moment_nm[-1],
         )
 
@@ -396,26 +398,31 @@ def _load_checks(
     unit: str,
     static: float,
     departure: Callable[[Loads], NDArray[np.float64]],
-    variability: float,
+    variability: float | None,
     chart_end: float,
 ) -> Iterator[tuple[Check, Callable[[Loads], Amount]]]:
-    """Yield the checks of a bearing's load against the range of its secant (5.22) and its chart."""
+    """
+    Yield the checks of a bearing's load against the range of its secant (5.22) and its chart.
+
+    The former only where there is a secant: with `variability`.
+    """
 
     def amount(loads: Loads) -> Amount:
         away = departure(loads)
         return static - away, static + away
 
-    yield (
-        Check(
-            place,
-            what,
-            unit,
-            (1.0 - variability) * static,
-            (1.0 + variability) * static,
-            'outside of the range that its secant stiffness is taken over (5.22)',
-        ),
-        amount,
-    )
+    if variability is not None:
+        yield (
+            Check(
+                place,
+                what,
+                unit,
+                (1.0 - variability) * static,
+                (1.0 + variability) * static,
+                'outside of the range that its secant stiffness is taken over (5.22)',
+            ),
+            amount,
+        )
     yield (
         Check(
             place,

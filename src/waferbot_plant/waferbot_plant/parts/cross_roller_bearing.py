@@ -11,10 +11,13 @@ stiffness (x) is left out: no motor axis moves that way.
 Along the static load the secant spans the range of loads; across it, where the static moment has
 no component, it goes from zero to the static load (see `LoadDeflection.secant_from_zero`). The
 bearing is stiffer in the plane of the static moment (about z) than across it (about y).
+
+`curve` follows the charts instead, at the load of the moment.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,6 +29,7 @@ from waferbot_plant.parts.checks import (
     require_positive,
 )
 from waferbot_plant.parts.load_deflection import ForceDeflection, MomentTilt
+from waferbot_plant.spring_curves import SpringCurve
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,41 @@ def stiffness(bearing: CrossRollerBearing, load: CrossRollerLoad) -> CrossRoller
         about_y_nm_per_rad=moment.secant_from_zero(load.moment_nm),
         about_z_nm_per_rad=moment.secant_over_range(load.moment_nm, gamma),
     )
+
+
+@lru_cache(maxsize=64)
+def curve(
+    bearing: CrossRollerBearing, load: CrossRollerLoad, direction: str
+) -> tuple[SpringCurve, float]:
+    """
+    Return force over deflection (N over m; Nm over rad) and the static load in a direction.
+
+    `radial_y` and `about_z` are the charts themselves. The bearing is alike all round, so its elastic
+    potential is a function U(r) of the resulting tilt r, with U' = f the moment chart. About y, across
+    the static moment f(r_0) about z,
+
+        M_y = f(r) phi / r,    r = sqrt(r_0^2 + phi^2)
+
+    which has the slope f(r_0) / r_0 at phi = 0 (`LoadDeflection.secant_from_zero`). Limit: the tilt
+    about z keeps its static value r_0 in that, and phi does not act back on the spring about z; good
+    while phi is small against r_0.
+    """
+    if direction == 'radial_y':
+        chart = bearing.radial.curve('cross-roller bearing: radial')
+        return chart.force_curve(), load.radial_n
+    along = bearing.moment.curve('cross-roller bearing: moment').force_curve()
+    if direction == 'about_z':
+        return along, load.moment_nm
+    held = along.deflection(load.moment_nm)
+    moments, slopes = [], []
+    for tilt in along.deflections:
+        resulting = math.hypot(held, tilt)
+        # Without a static moment the bearing is alike in this direction and along.
+        across = along.force(resulting) / resulting if resulting > 0.0 else along.slope(0.0)
+        share = (tilt / resulting) ** 2 if resulting > 0.0 else 1.0
+        moments.append(across * tilt)
+        slopes.append(share * along.slope(resulting) + (1.0 - share) * across)
+    return SpringCurve.through(along.deflections, moments, slopes=slopes), 0.0
 
 
 def friction_torque_nm(bearing: CrossRollerBearing, load: CrossRollerLoad) -> float:

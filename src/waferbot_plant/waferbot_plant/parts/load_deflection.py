@@ -6,6 +6,9 @@ Rolling contacts stiffen with load (deflection grows about as load^(2/3) for bal
 rollers), so one number of stiffness holds for one load only. The thesis takes the secant over the
 range of loads that the mechanism sees, equation (5.22). Between the points of the chart the curve
 is a monotonic cubic (PCHIP), which does not overshoot.
+
+The chart can also be followed as it is, `force_curve`: force over deflection, with the slope that it has
+at the load of the moment.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from waferbot_plant.parts.checks import (
     require_not_negative,
     require_positive,
 )
+from waferbot_plant.spring_curves import SpringCurve
 
 METRES_PER_MICROMETRE = 1e-6
 RADIANS_PER_MICRORADIAN = 1e-6
@@ -87,6 +91,16 @@ class LoadDeflection:
         low = (1.0 - variability) * load
         high = (1.0 + variability) * load
         return (high - low) / (self.deflection(high) - self.deflection(low))
+
+    def force_curve(self) -> SpringCurve:
+        """
+        Return the chart read the other way round: force (N, Nm) over deflection (m, rad), odd.
+
+        It meets the chart's points; between them it is a cubic in the deflection where `deflection` is
+        one in the load, which differ by the error of interpolation. Beyond the last point it goes on
+        straight. Raises `UserError` for more points than `LONGEST_CURVE`.
+        """
+        return SpringCurve.through(self.deflections, self.loads, self.name)
 
     def secant_from_zero(self, load: float) -> float:
         """
