@@ -37,6 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_TITLES, USUAL_UNITS
+from waferbot_plant.bearing_loads import BearingLoad
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 from waferbot_plant.spring_curves import SpringCurve
 
@@ -215,7 +216,8 @@ class Friction:
     `friction_laws` by name; those not in it are zero.
 
     `resistances` (n,) are over `speeds` (n,); of a map (m, n), a row for each of the `loads` (m,), which
-    are magnitudes of the motors' force or torque on the same coordinate, N or Nm, from zero up.
+    are magnitudes of the motors' force or torque on the same coordinate, N or Nm, from zero up; with a
+    `bearing`, of the load that it bears, N.
     """
 
     name: str
@@ -225,6 +227,7 @@ class Friction:
     breakaway: float
     law: Mapping[str, float] = field(default_factory=dict)
     loads: Vector = field(default_factory=lambda: np.zeros(1))
+    bearing: BearingLoad | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import friction_tables, imperfections, part_library
+from waferbot_plant.bearing_loads import BearingLoad
 from waferbot_plant.description import (
     BASE,
     MULTIBODY,
@@ -515,13 +517,19 @@ class Reader:
             friction_tables.refuse_loads(self, key, 'the friction of a part has no map')
             found = self.friction_of_part(key, value)
             factor = value.get('factor', 1.0)
+            resistance, law = found.coulomb_nm, {}
+            bearing = self.bearing_load(key, value)
+            if bearing is not None:
+                resistance, per_load = self.rolling_friction(key, value)
+                law['per_load'] = factor * per_load
             frictions[name] = Friction(
                 name,
                 coordinate,
                 np.zeros(1),
-                np.array([factor * found.coulomb_nm]),
+                np.array([factor * resistance]),
                 float(value.get('breakaway', 1.0)),
-                imperfections.read_friction_law(self, key, self.revolute[coordinate]),
+                law | imperfections.read_friction_law(self, key, self.revolute[coordinate]),
+                bearing=bearing,
             )
             if found.viscous_nm_s_per_rad > 0.0:
                 dampers[name] = Damper(name, coordinate, factor * found.viscous_nm_s_per_rad)
@@ -563,6 +571,38 @@ class Reader:
         except UserError as error:
             raise self.document.error(key, str(error)) from None
 
+    def bearing_load(self, key: Key, value: dict[str, Any]) -> BearingLoad | None:
+        """Return the load of the bearing that a friction follows, None where it follows none."""
+        if 'load_of' not in value:
+            return None
+        where, name = (*key, 'load_of'), value['load_of']
+        self.reference(where, name, self.parts, 'part')
+        joint = self.joint_with(where, name)
+        try:
+            load = part_library.bearing_load(self.parts[name], self.carried_by(joint))
+        except UserError as error:
+            raise self.document.error(where, f'{name} {error}') from None
+        held_by = {
+            self.section('connections')[connection].get('direction'): freedom.name
+            for freedom in joint.freedoms
+            for connection in freedom.connections
+            if self.section('connections')[connection].get('part') == name
+        }
+        first, second, third = (
+            replace(amount, freedom=held_by.get(amount.direction, '')) for amount in load.amounts
+        )
+        return replace(load, amounts=(first, second, third))
+
+    def rolling_friction(self, key: Key, value: dict[str, Any]) -> tuple[float, float]:
+        """Return the friction of a part without load, and per load of the bearing that it follows."""
+        other = self.parts[value['with']] if 'with' in value else None
+        try:
+            return part_library.rolling_friction(
+                self.parts[value['part']], other, self.parts[value['load_of']]
+            )
+        except UserError as error:
+            raise self.document.error((*key, 'load_of'), f'{value["load_of"]} {error}') from None
+
     def joint_of(self, key: Key, coordinate: str) -> Joint:
         """Return the joint that a coordinate is a freedom of."""
         for joint in self.joints.values():
@@ -584,6 +624,7 @@ class Reader:
             float(value.get('breakaway', 1.0)),
             imperfections.read_friction_law(self, key, revolute),
             loads,
+            self.bearing_load(key, value),
         )
 
     def damper(self, name: str) -> Damper:

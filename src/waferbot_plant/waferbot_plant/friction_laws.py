@@ -4,7 +4,8 @@ What makes real dry friction differ from a table of resistance over speed.
 
 The table T(|u|) of a friction, or its map T(|u|, |F_m|), with u the speed of its coordinate x, is made
 
-    R = (T + b |u|^p + mu |F_m|) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau)) (1 + a sign(u))
+    R = (T + b |u|^p + mu |F_m| + nu P) max(0, 1 + A cos(k x - phase)) (1 + C exp(-t / tau))
+        (1 + a sign(u))
 
 growing with a power of the speed (p = 1 viscous, 2/3 a rolling bearing in oil), load-dependent by
 the force or torque F_m of the motors on the same coordinate, position-dependent (a bent rail, an
@@ -19,6 +20,10 @@ L_j+1, it is bilinear,
 
 and held constant beyond the last load and speed. At constant speed F_m is what goes in, and T what does
 not come out: a gearbox on a test bench is known so, whatever is inside (thesis, chapter 7).
+
+A friction that **follows a bearing** has the load P (N) that the bearing bears at the moment, see
+`bearing_loads`, in the place of |F_m| in its map, and the rolling friction nu P: nu is the coefficient
+mu_roll of a guide, N per N, or mu_roll D/2 of a ring, Nm per N.
 
 mu may differ with who drives: mu_d where the motor does (F_m u > 0), mu_b where the load does
 (F_m u < 0). For a gear or screw of efficiencies eta_d and eta_b the loss is the part of what comes
@@ -44,8 +49,8 @@ l = sigma_0 |u_p| / R at the speed u_p expected from the last step, z' = u - l z
 so that no stiffness and no speed makes it unstable. Second order in h while u_p is.
 
 Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of
-systems with friction, IEEE Trans. Automatic Control 40 (1995). Limits: F_m is that expected in the
-middle of the step; LuGre drifts under a vibrating force below breakaway, which real contacts do
+systems with friction, IEEE Trans. Automatic Control 40 (1995). Limits: F_m and P are those expected in
+the middle of the step; LuGre drifts under a vibrating force below breakaway, which real contacts do
 less; with sigma_1 large it is not passive at a reversal.
 """
 
@@ -54,6 +59,7 @@ from __future__ import annotations
 import math
 
 from waferbot_lockstep.compiled import compiled
+from waferbot_plant.bearing_loads import bearing_load
 from waferbot_plant.elements import MOST_LOADS, resistance_at
 from waferbot_plant.motors import MOTORS, NONE, force_and_damping
 
@@ -111,6 +117,7 @@ def find_friction_laws(s, p):
             | (p['friction_asymmetry'][friction] != 0.0)
             | (p['friction_bristle_stiffness'][friction] != 0.0)
             | (p['friction_loads'][friction] > 1)
+            | (p['friction_bearing'][friction] != 0)
         )
     if s['any_friction_law'] and not found:
         for row in range(p['coordinates']):
@@ -173,8 +180,17 @@ def _load_part(p, friction, force):
 
 
 @compiled
+def _load(s, p, friction, force, middle, mean):
+    """Return the load of a map, N or Nm: |F_m|, or what the bearing bears; and what the latter adds."""
+    if p['friction_bearing'][friction] == 0:
+        return abs(force), 0.0
+    borne = bearing_load(s, p, friction, middle, mean)
+    return borne, p['friction_per_load'][friction] * borne
+
+
+@compiled
 def table_part(p, friction, speed, load):
-    """Return T, N or Nm on x, at a speed |u| and a load |F_m| of zero or more."""
+    """Return T, N or Nm on x, at a speed |u| and a load |F_m| or P of zero or more."""
     last = p['friction_loads'][friction] - 1
     row = 0
     while row < last and load >= p['friction_load'][friction, row + 1]:
@@ -189,7 +205,7 @@ def table_part(p, friction, speed, load):
 
 @compiled
 def _moving_part(p, friction, speed, load):
-    """Return T + b |u|^p, N or Nm on x, at a speed |u| and a load |F_m| of zero or more."""
+    """Return T + b |u|^p, N or Nm on x, at a speed |u| and a load |F_m| or P of zero or more."""
     found = table_part(p, friction, speed, load)
     if p['friction_drag'][friction] != 0.0:
         found += p['friction_drag'][friction] * speed ** p['friction_drag_exponent'][friction]
@@ -218,15 +234,17 @@ def limit_lawful_friction(s, p, middle, mean, step):
         factor = ratio * _factor(s, p, friction, p['friction_ratio'][friction] * middle[row], time)
         force = _motor_force(s, p, friction, mean)
         load, uneven = _load_part(p, friction, force)
+        borne, rolling = _load(s, p, friction, force, middle, mean)
+        load += rolling
         tilt = p['friction_asymmetry'][friction]
         if p['friction_ratio'][friction] < 0.0:
             tilt, uneven = -tilt, -uneven
         # (even + uneven sign) (1 + tilt sign), in even and odd parts.
         uneven *= factor
-        even = factor * (_moving_part(p, friction, ratio * abs(mean[row]), abs(force)) + load)
+        even = factor * (_moving_part(p, friction, ratio * abs(mean[row]), borne) + load)
         moving, odd = even + tilt * uneven, tilt * even + uneven
         breakaway = p['friction_breakaway'][friction]
-        even = factor * (table_part(p, friction, 0.0, abs(force)) + load) * breakaway
+        even = factor * (table_part(p, friction, 0.0, borne) + load) * breakaway
         uneven *= breakaway
         s['friction_now'][friction] = moving
         s['friction_tilt_now'][friction] = odd
@@ -249,7 +267,8 @@ def add_presliding(s, p, matrix, right, middle, mean, velocity, step):
         speed = ratio * mean[row]
         force = _motor_force(s, p, friction, mean)
         load, uneven = _load_part(p, friction, force)
-        limit = _moving_part(p, friction, abs(speed), abs(force)) + load
+        borne, rolling = _load(s, p, friction, force, middle, mean)
+        limit = _moving_part(p, friction, abs(speed), borne) + load + rolling
         limit += uneven if speed >= 0.0 else -uneven
         limit *= _factor(s, p, friction, ratio * middle[row], time)
         tilt = p['friction_asymmetry'][friction]

@@ -36,6 +36,10 @@ def read_table(reader: Reader, key: Key, revolute: bool) -> tuple[Array, Array, 
     resistances = reader.quantity(key, revolute, 'force_n', 'torque_nm')
     where = (*key, 'torque_nm' if revolute else 'force_n')
     if not any(name in value for name in LOADS):
+        if 'load_of' in value:
+            raise reader.document.error(
+                (*key, 'load_of'), 'needs load_n: a map over the load of the bearing'
+            )
         if any(isinstance(row, list) for row in resistances):
             raise reader.document.error(where, f'rows are for loads: give {LOADS[revolute]} too')
         if len(speeds) != len(resistances):
@@ -44,9 +48,15 @@ def read_table(reader: Reader, key: Key, revolute: bool) -> tuple[Array, Array, 
             )
         _check_rising(reader, key, 'speeds', speeds)
         return np.array(speeds, float), np.zeros(1), np.array(resistances, float)
-    loads = reader.quantity(key, revolute, *LOADS)
+    of_bearing = 'load_of' in value
+    if of_bearing and 'load_nm' in value:
+        raise reader.document.error(
+            (*key, 'load_nm'), 'the load of a bearing is in N: give load_n'
+        )
+    over = LOADS[revolute and not of_bearing]
+    loads = value[over] if of_bearing else reader.quantity(key, revolute, *LOADS)
     _check_rising(reader, key, 'speeds', speeds)
-    _check_rising(reader, (*key, LOADS[revolute]), 'loads', loads)
+    _check_rising(reader, (*key, over), 'loads', loads)
     if len(loads) != len(resistances):
         raise reader.document.error(
             where, f'{len(loads)} loads but {len(resistances)} rows of friction'

@@ -21,6 +21,7 @@ from typing import Any
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
+from waferbot_plant.bearing_loads import BearingLoad, guide_amounts, ring_amounts
 from waferbot_plant.parts import (
     belt,
     cable,
@@ -200,6 +201,29 @@ def ring_load(carried: Carried) -> cross_roller_bearing.CrossRollerLoad:
     return cross_roller_bearing.static_load(carried.mass, carried.x)
 
 
+def bearing_load(part: Any, carried: Carried) -> BearingLoad:
+    """Return how a bearing's load is made of what its springs bear; `UserError` for another part."""
+    if isinstance(part, LinearBearing):
+        return guide_amounts(part, guide_load(part, carried))
+    if isinstance(part, CrossRollerBearing):
+        return ring_amounts(part, ring_load(carried))
+    raise UserError('is no guide and no cross-roller bearing, whose load is not known')
+
+
+def rolling_friction(part: Any, other: Any, bearing: Any) -> tuple[float, float]:
+    """
+    Return the friction of a part at rest without load (N, Nm), and per load of its bearing (N/N, Nm/N).
+
+    `other` as of `friction`. Raises `UserError` if `bearing` is not the one whose friction it is.
+    """
+    if isinstance(part, LinearBearing) and bearing is part:
+        return linear_bearing.BLOCKS * part.seal_force_per_block_n, part.friction_coefficient
+    ring = other if isinstance(part, FerrofluidSeal) else part
+    if isinstance(ring, CrossRollerBearing) and bearing is ring:
+        return 0.0, 0.5 * ring.friction_coefficient * ring.pitch_diameter_m
+    raise UserError('is not the bearing whose friction this is')
+
+
 def friction(part: Any, other: Any, carried: Callable[[], Carried]) -> SpeedFriction:
     """
     Return the friction of a part: at rest (N or Nm), and what it gains per speed (viscous).
@@ -211,6 +235,10 @@ def friction(part: Any, other: Any, carried: Callable[[], Carried]) -> SpeedFric
     if isinstance(part, LinearBearing):
         return SpeedFriction(
             linear_bearing.travel_friction_n(part, guide_load(part, carried())), 0.0
+        )
+    if isinstance(part, CrossRollerBearing):
+        return SpeedFriction(
+            cross_roller_bearing.friction_torque_nm(part, ring_load(carried())), 0.0
         )
     if isinstance(part, FerrofluidSeal):
         if not isinstance(other, CrossRollerBearing):

@@ -33,6 +33,7 @@ from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import (
+    bearing_loads,
     current_sensors,
     disturbances,
     elements,
@@ -352,6 +353,17 @@ class Machine:
             p['friction_breakaway'][place] = friction.breakaway
             for name, value in friction.law.items():
                 p[f'friction_{name}'][place] = value
+            if friction.bearing is not None:
+                springs = {
+                    spring.name: row
+                    for row, spring in enumerate(self.assembly.springs)
+                    if spring.connections
+                }
+                p['friction_bearing'][place] = friction.bearing.together
+                for slot, amount in enumerate(friction.bearing.amounts):
+                    p['friction_bearing_spring'][place, slot] = springs.get(amount.freedom, -1)
+                    p['friction_bearing_share'][place, slot] = amount.share
+                    p['friction_bearing_static'][place, slot] = amount.static
 
     def _fill_disturbances(self, p: np.void) -> None:
         """Write the forces from outside and the floor."""
@@ -455,6 +467,7 @@ def _parameter_dtype(
             *multibody.parameter_fields(links, coordinates),
             *elements.parameter_fields(springs, cables, frictions),
             *friction_laws.parameter_fields(frictions),
+            *bearing_loads.parameter_fields(frictions),
             *spring_laws.parameter_fields(springs),
             *motors.PARAMETER_FIELDS,
             *encoders.PARAMETER_FIELDS,
