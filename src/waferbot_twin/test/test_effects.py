@@ -260,6 +260,29 @@ def same_data(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
+def test_bearings_that_follow_their_charts_are_asked_how_soft_and_not_how_they_stiffen() -> None:
+    data = yaml.safe_load(whole_text(find_description('flexible')))
+    names = [name for name in data['connections'] if 'bearing' in name]
+    for name in names:
+        data['connections'][name]['stiffness_by'] = 'chart'
+    variant = Variant('by charts', data, 'improved', {}, {})
+    stiffens = find('load_dependent_bearing_stiffness')
+    assert stiffens.axes(nominal('flexible'))
+    assert stiffens.axes(variant) == ()
+    asked = 0
+    for effect in library().values():
+        for axis in effect.axes(variant) if effect.name.endswith('compliance') else ():
+            softer = effect.apply(variant, axis, {}).description.connections
+            for name in names:
+                before = variant.description.connections[name]
+                if softer[name].curve != before.curve:
+                    asked += 1
+                    ratio = softer[name].stiffness / before.stiffness
+                    assert softer[name].curve.slope(0.0) < before.curve.slope(0.0)
+                    assert 0.5 < ratio < 0.9
+    assert asked >= 2
+
+
 def test_independent_effects_commute() -> None:
     """Pairs drawn at random, on any axes: the order in which they are laid over does not matter."""
     seed = int(np.random.default_rng().integers(2**31))

@@ -5,7 +5,8 @@ A bearing becomes stiffer under load: rolling contacts of Hertz, more of which c
     M = k c (1 + H c^2)
 
 with c the tilt from that at home. For the guide of a linear and the bearing of a rotary axis, on
-models in which these give. `stiffening` is H c_0^2 with c_0 the tilt under the carried weight: by
+models in which these give, and whose springs do not follow the maker's chart (`stiffness_by: chart`),
+which says it already. `stiffening` is H c_0^2 with c_0 the tilt under the carried weight: by
 how much stiffer the bearing is there.
 """
 
@@ -24,10 +25,14 @@ GRAVITY_M_S2 = 9.81
 
 
 def _group(variant: Variant, axis: str) -> tuple[str, ...]:
-    """Return the connections that give in the bearing of an axis."""
+    """Return the connections that give in the bearing of an axis, by a stiffness."""
     tilting = tilting_bearing if places.rotary(variant, axis) else tilting_guide
     connections = variant.description.connections
-    return tuple(name for name in tilting(variant, axis) if connections[name].flexible)
+    return tuple(
+        name
+        for name in tilting(variant, axis)
+        if connections[name].flexible and connections[name].curve is None
+    )
 
 
 def _axes(variant: Variant) -> tuple[str, ...]:
