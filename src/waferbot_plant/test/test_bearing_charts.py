@@ -102,6 +102,13 @@ def test_curve_is_scipys_and_ends_straight() -> None:
     assert curve.force(5.0) == pytest.approx(6.0 + 2.0 * curve.slopes[-1])
 
 
+def test_slopes_that_would_turn_the_curve_back_are_limited() -> None:
+    """Known slopes of 20 between points of slope 1 would make it fall; three times theirs does not."""
+    curve = SpringCurve.through([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], slopes=[20.0, 20.0, 0.5])
+    assert curve.slopes == (3.0, 3.0, 0.5)
+    assert np.diff([curve.force(at) for at in np.linspace(0.0, 3.0, 400)]).min() >= 0.0
+
+
 def test_end_that_pchip_makes_flat_goes_on_with_its_secant() -> None:
     curve = SpringCurve.through([0.0, 1.0, 2.0], [0.0, 10.0, 10.5])
     assert bearings.Chart([0.0, 10.0, 10.5], [0.0, 1e6, 2e6]).slope(2.0) == 0.0
@@ -303,6 +310,12 @@ def test_ring_across_its_static_moment_follows_the_potential() -> None:
                 MOMENT_CHART.energy(math.hypot(held, tilt + way * step)) for way in (1.0, -1.0)
             )
             assert moment == pytest.approx((high - low) / (2.0 * step), rel=1e-4)
+            # and its own slope, from moments by the chart alone
+            ahead, behind = (
+                MOMENT_CHART.force(math.hypot(held, at)) * at / math.hypot(held, at)
+                for at in (tilt + step, tilt - step)
+            )
+            assert curve.slope(tilt) == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-3)
     stiffness = machine.description.connections['about_y'].stiffness
     assert stiffness == pytest.approx(MOMENT_CHART.force(held) / held, rel=1e-9)
     along = machine.description.connections['about_z'].stiffness
