@@ -23,6 +23,7 @@ from waferbot_twin.diagnosis.proposals.cogging_orders import (
     at_orders,
     log_prior_of_orders,
     orders_of,
+    with_an_order_less,
 )
 from waferbot_twin.diagnosis.proposals.screening import screen, signatures
 from waferbot_twin.effects import find, places
@@ -205,6 +206,25 @@ def test_no_orders_are_worth_choosing_without_cogging(random, motor) -> None:
         changes = signatures(problem, base, tuned, 1, lambda stage, done, total: None)
         for item in screen(problem, base, tuned, changes, [], Settings().prior_scales):
             assert item.likelihood + log_prior_of_orders(motor, item.cause) < 0.0
+
+
+def test_a_cause_without_each_of_its_orders_the_strongest_first(motor) -> None:
+    effect = with_orders({AXIS: (7, 12, 84)})
+    values = dict.fromkeys(effect.typical(motor, AXIS), 0.0)
+    values |= {'cosine_7': 1.0, 'sine_12': -3.0, 'cosine_84': 1.5, 'sine_84': 2.0}
+    without_12, without_84, without_7 = with_an_order_less(Cause(effect, AXIS, values))
+    assert without_12.values == {name: values[name] for name in values if '12' not in name}
+    for one, orders in ((without_12, (7, 84)), (without_84, (7, 12)), (without_7, (12, 84))):
+        names = [f'{wave}_{order}' for order in orders for wave in ('cosine', 'sine')]
+        assert [item.name for item in one.effect.parameters(motor, AXIS)] == names
+        assert one.values.keys() == set(names)
+
+
+def test_nothing_is_left_of_a_cause_without_its_only_order(motor) -> None:
+    effect = with_orders({AXIS: (7,)})
+    of_library = find('cogging')
+    assert with_an_order_less(Cause(effect, AXIS, effect.typical(motor, AXIS))) == []
+    assert with_an_order_less(Cause(of_library, AXIS, of_library.typical(motor, AXIS))) == []
 
 
 def test_any_orders_of_so_many_are_as_probable_as_others(motor) -> None:

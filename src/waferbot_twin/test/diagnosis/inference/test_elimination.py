@@ -274,6 +274,38 @@ def test_the_odds_by_parts_of_the_logs_have_the_gain_of_the_parts(monkeypatch):
     assert elimination.odds_beside(pool, found, 'one:x', parts=True)[0] == 5.0
 
 
+@pytest.mark.parametrize(
+    ('whole', 'of_orders', 'odds', 'asked'),
+    [
+        (-20.0, [3.0, 1.5, 9.0], 3.0, 1),  # as sure as its strongest order
+        (-20.0, [-8.0, 1.5, 0.5], 1.5, 3),  # as sure as the surest, though none has a name
+        (-20.0, [None, None, None], -20.0, 3),  # the machine does not stand with fewer
+        (1.0, [-8.0, -2.0, -3.0], 1.0, 3),  # no less sure than as a whole
+        (5.0, [], 5.0, 0),  # sure enough as it is
+    ],
+)
+def test_a_cause_is_as_sure_as_the_surest_of_its_orders(
+    monkeypatch, whole, of_orders, odds, asked
+):
+    found = least_squares(np.eye(4), np.ones(4), NAMES)
+    pool = SimpleNamespace(
+        **vars(POOL), workers=1, signatures_of=lambda found: [{'plant': np.eye(4)}] * 4
+    )
+    made = []
+
+    def with_in_its_place(problem, more, fewer, begun):
+        assert more.causes[-1].name == 'one:x'
+        made.append(fewer)
+        return fewer
+
+    monkeypatch.setattr(elimination, '_odds_as_a_whole', lambda *_: (whole, 'base'))
+    monkeypatch.setattr(elimination, 'with_an_order_less', lambda cause: of_orders)
+    monkeypatch.setattr(elimination, 'with_in_its_place', with_in_its_place)
+    monkeypatch.setattr(elimination, 'log_odds_between', lambda pool, one, other, parts: other)
+    assert elimination.odds_beside(pool, found, 'one:x', parts=True) == (odds, 'base')
+    assert len(made) == asked
+
+
 def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):
     """One gains 12 in ln L, five nothing: together they are not evident, and still one is needed."""
     seed = 20261126

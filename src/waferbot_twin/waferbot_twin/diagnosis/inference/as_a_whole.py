@@ -15,10 +15,10 @@ from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, sign
 from waferbot_twin.diagnosis.inference.forward_selection import (
     Found,
     as_fitted,
-    log_odds_between,
     some_of_each,
 )
 from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_between
 from waferbot_twin.diagnosis.inference.refit import ROUGHLY, fitted
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect
 from waferbot_twin.estimation.hypothesis import Hypothesis, log_likelihood_ratio

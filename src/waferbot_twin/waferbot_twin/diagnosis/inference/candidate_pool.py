@@ -86,7 +86,8 @@ class Judged:
     """
     What the causes of one hypothesis are judged by, without any other candidate: for another process.
 
-    `signatures` are those of its causes in their order, `priors` ln of their prior odds by name.
+    `signatures` are those of its causes in their order, `priors` ln of their prior odds by name, of
+    those with orders whatever these are.
     """
 
     problem: Problem
@@ -97,7 +98,7 @@ class Judged:
 
     def log_prior(self, cause: Cause) -> float:
         """Return ln of the prior odds of a cause against none."""
-        return self.priors[cause.name]
+        return self.priors[cause.name] + log_prior_of_orders(self.problem.nominal, cause)
 
     def signatures_of(self, found: Hypothesis) -> Sequence[Signature]:
         """Return what the causes of the hypothesis change."""
@@ -159,11 +160,14 @@ class CandidatePool:
         made (teeth, poles, a turn: one of its orders is true; or some of all that are looked for); even
         odds that a machine is a little off in everything.
         """
+        return self._of_any_order(cause) + log_prior_of_orders(self.problem.nominal, cause)
+
+    def _of_any_order(self, cause: Cause) -> float:
+        """Return `log_prior` of a cause whatever orders it has."""
         if is_nuisance(cause):
             return 0.0
         ways = self._ways.get(cause.name, 1)
-        alike = math.log(self.settings.expected_causes / (len(self.names) * ways))
-        return alike + log_prior_of_orders(self.problem.nominal, cause)
+        return math.log(self.settings.expected_causes / (len(self.names) * ways))
 
     def begin(self, base: Hypothesis) -> None:
         """
@@ -490,7 +494,7 @@ class CandidatePool:
 
     def judged(self, found: Hypothesis) -> Judged:
         """Return what the causes of a hypothesis are judged by."""
-        priors = {cause.name: self.log_prior(cause) for cause in found.causes}
+        priors = {cause.name: self._of_any_order(cause) for cause in found.causes}
         return Judged(self.problem, self.settings, priors, self.signatures_of(found))
 
     def _as_found_at_first(self, rivals: Sequence[Cause]) -> list[Change | None]:

@@ -8,6 +8,7 @@ left is fitted anew through the simulation, and the logs have the last word.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
@@ -21,14 +22,17 @@ from waferbot_twin.diagnosis.inference.candidate_pool import (
     signatures_by_name,
 )
 from waferbot_twin.diagnosis.inference.nuisance import each_once
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at, log_odds_between
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
     fitted,
     to_the_end,
+    with_in_its_place,
     with_last,
     without,
 )
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, SingleEffect, with_odds
+from waferbot_twin.diagnosis.proposals.cogging_orders import with_an_order_less
 from waferbot_twin.diagnosis.proposals.repetition import repeats_in
 from waferbot_twin.estimation.conditional import conditional, without_by_linear
 from waferbot_twin.estimation.evidence import gain, information_of, log_evidence, log_occam
@@ -174,8 +178,40 @@ def odds_beside(
     ends with is no less likely. It is not made where the odds are too low for the model already, nor
     where what may yet be gained would not make them too low for a name: as much again as the first one
     gained, or what the linear problem promises with the signatures of the last (`Hypothesis`). With
-    `parts` by what parts of the logs agree on (`estimation.evidence.gain`).
+    `parts` by what parts of the logs agree on (`estimation.evidence.gain`). A cause with several orders
+    is as probable as the surest of them beside the others.
     """
+    odds, base = _odds_as_a_whole(pool, found, name, parts)
+    if odds <= log_odds_at(pool.settings.named_from):
+        odds = max(odds, _odds_of_surest_order(pool, found, name, parts))
+    return odds, base
+
+
+def _odds_of_surest_order(
+    pool: CandidatePool | Judged, found: Hypothesis, name: str, parts: bool
+) -> float:
+    """
+    Return ln of the odds of the surest order of a cause, the strongest first; -inf without several.
+
+    What all of its orders gain together is one direction in the logs, and grows with the logarithm of
+    how far it stands out of what is left over there (`noise_model.power`); each of them pays for its
+    own size. So several small ones make a cause less probable as a whole, and not the surest of them.
+    """
+    problem, most = pool.problem, -math.inf
+    more = with_last(problem, found, name)
+    for fewer in with_an_order_less(more.causes[-1]):
+        base = with_in_its_place(problem, more, fewer, signatures_by_name(pool, found))
+        if base is not None:
+            most = max(most, log_odds_between(pool, more, base, parts=parts))
+        if most > log_odds_at(pool.settings.named_from):
+            break
+    return most
+
+
+def _odds_as_a_whole(
+    pool: CandidatePool | Judged, found: Hypothesis, name: str, parts: bool
+) -> tuple[float, Hypothesis]:
+    """Return `odds_beside` of a cause with all of its orders."""
     problem, scales = pool.problem, pool.settings.prior_scales
     more = with_last(problem, found, name)
     prior = pool.log_prior(more.causes[-1])
@@ -308,8 +344,3 @@ def _linear_odds(
         occam = log_occam(cause.with_values(values), parameters, known, scales)
         odds[cause.name] = gained + occam + pool.log_prior(cause)
     return odds
-
-
-def log_odds_at(probability: float) -> float:
-    """Return ln of the odds of a probability."""
-    return float(logit(probability))

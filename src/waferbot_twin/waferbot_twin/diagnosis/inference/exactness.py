@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, with_odds
 from waferbot_twin.residuals.problem import PRIOR, Problem

@@ -20,7 +20,6 @@ from waferbot_twin.diagnosis.inference.candidate_pool import (
     Judged,
     signatures_by_name,
 )
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.instrument import (
     GivingWay,
     NoiseFree,
@@ -28,6 +27,7 @@ from waferbot_twin.diagnosis.inference.instrument import (
     log_odds_beside_noise,
     noise_free_logs,
 )
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at
 from waferbot_twin.diagnosis.inference.refit import with_last, without
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds
 from waferbot_twin.estimation.conditional import others_without

@@ -18,9 +18,9 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, signatures_by_name
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy, is_physical
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
 from waferbot_twin.diagnosis.inference.feigned import beside_noise
 from waferbot_twin.diagnosis.inference.nuisance import each_once, is_damping, is_nuisance
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at, log_odds_between
 from waferbot_twin.diagnosis.inference.refit import (
     ROUGHLY,
     Refits,
@@ -38,7 +38,7 @@ from waferbot_twin.diagnosis.inference.single_effects import (
 )
 from waferbot_twin.diagnosis.proposals.cogging_orders import has_orders, measured_by_others
 from waferbot_twin.diagnosis.proposals.screening import Screened, at_its_sizes, untempered
-from waferbot_twin.estimation.evidence import evidence_of, gain, information_of, log_occam
+from waferbot_twin.estimation.evidence import evidence_of, gain
 from waferbot_twin.estimation.hypothesis import (
     Hypothesis,
     evaluate,
@@ -48,7 +48,6 @@ from waferbot_twin.estimation.hypothesis import (
 )
 from waferbot_twin.estimation.intervals import on_a_bound
 from waferbot_twin.estimation.separable import part_of
-from waferbot_twin.estimation.size_prior import log_prior, scales_of
 from waferbot_twin.noise_model.prediction_error import in_deviations
 from waferbot_twin.noise_model.residual_spectrum import log_likelihood_ratios_in, powers_along
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -246,35 +245,6 @@ def _by_names(
         if more is None:
             return [], base, asked
         members = more.members
-
-
-def log_odds_between(
-    pool: CandidatePool, one: Hypothesis, other: Hypothesis, power_known: bool = False
-) -> float:
-    """
-    Return ln of the posterior odds of one hypothesis against another, whatever causes each has.
-
-    A cause with other parameters is another one. With `power_known` as if the power of the noise along
-    what the two do differently were known (`estimation.evidence.gain`).
-    """
-    problem, scales = pool.problem, pool.settings.prior_scales
-
-    def what(cause: Cause) -> tuple[str, frozenset[str]]:
-        return cause.name, frozenset(cause.values)
-
-    both = {what(cause) for cause in one.causes} & {what(cause) for cause in other.causes}
-
-    def own(hypothesis: Hypothesis) -> float:
-        total = log_prior(problem, [item for item in hypothesis.causes if what(item) in both])
-        for place, cause in enumerate(hypothesis.causes):
-            if what(cause) not in both:
-                known = information_of(problem, hypothesis, place)
-                own_scales = scales_of(problem, cause, scales)
-                total += log_occam(cause, parameters_of(problem, cause), known, own_scales)
-                total += pool.log_prior(cause)
-        return total
-
-    return gain(one, other, power_known=power_known) + own(one) - own(other)
 
 
 def fitted_together(

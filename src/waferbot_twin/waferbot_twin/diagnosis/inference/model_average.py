@@ -15,8 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at
-from waferbot_twin.diagnosis.inference.forward_selection import log_odds_between
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at, log_odds_between
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect
 from waferbot_twin.estimation.hypothesis import Hypothesis
 from waferbot_twin.estimation.intervals import Rival

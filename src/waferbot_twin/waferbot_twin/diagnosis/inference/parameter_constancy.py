@@ -18,7 +18,8 @@ from joblib import Parallel, delayed
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool, Judged
 from waferbot_twin.diagnosis.inference.discrepancy import is_physical
-from waferbot_twin.diagnosis.inference.elimination import log_odds_at, odds_beside
+from waferbot_twin.diagnosis.inference.elimination import odds_beside
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at
 from waferbot_twin.diagnosis.inference.refit import with_last
 from waferbot_twin.diagnosis.inference.single_effects import Posterior, with_odds
 from waferbot_twin.estimation.conditional import without_by_linear

@@ -242,6 +242,19 @@ def without(
         return evaluate(problem, as_they_are)
 
 
+def with_in_its_place(
+    problem: Problem, found: Hypothesis, instead: Cause, begun: Mapping[str, Signature]
+) -> Hypothesis | None:
+    """
+    Return a hypothesis with one of fewer parameters in the place of a cause of its name, fitted anew.
+
+    `begun` are signatures of `found` by name. None if the machine does not stand so.
+    """
+    causes = tuple(instead if cause.name == instead.name else cause for cause in found.causes)
+    known = _of_free(problem, found.causes, causes, begun)
+    return fitted(problem, causes, 1, ENOUGH, found, known)
+
+
 def _of_free(
     problem: Problem,
     before: Sequence[Cause],

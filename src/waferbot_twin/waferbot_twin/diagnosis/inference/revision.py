@@ -8,8 +8,9 @@ from dataclasses import replace
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_discrepancy
-from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
+from waferbot_twin.diagnosis.inference.elimination import evident
 from waferbot_twin.diagnosis.inference.forward_selection import fitted_together, posterior_beside
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at
 from waferbot_twin.diagnosis.inference.refit import with_last
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import SingleEffect, with_odds

@@ -22,9 +22,10 @@ from dataclasses import replace
 
 from waferbot_twin.diagnosis.inference.candidate_pool import CandidatePool
 from waferbot_twin.diagnosis.inference.discrepancy import is_physical
-from waferbot_twin.diagnosis.inference.elimination import evident, log_odds_at
-from waferbot_twin.diagnosis.inference.forward_selection import ask_on, log_odds_between
+from waferbot_twin.diagnosis.inference.elimination import evident
+from waferbot_twin.diagnosis.inference.forward_selection import ask_on
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
+from waferbot_twin.diagnosis.inference.posterior_odds import log_odds_at, log_odds_between
 from waferbot_twin.diagnosis.inference.revision import ask_again
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
 from waferbot_twin.estimation.hypothesis import Hypothesis

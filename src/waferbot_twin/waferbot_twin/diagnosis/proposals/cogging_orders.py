@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -100,6 +101,26 @@ def log_prior_of_orders(variant: Variant, cause: Cause) -> float:
 def has_orders(cause: Cause) -> bool:
     """Return whether a cause is a force with orders over the turns of a motor."""
     return cause.effect.name == NAME
+
+
+def with_an_order_less(cause: Cause) -> list[Cause]:
+    """
+    Return a cause without each of its orders, the strongest first; none where it has not several.
+
+    Nor where the library says which they are: harmonics of one order.
+    """
+    if not has_orders(cause) or 'order' in cause.values:
+        return []
+    names: dict[int, list[str]] = {}
+    for name in cause.values:
+        names.setdefault(int(name.rpartition('_')[2]), []).append(name)
+    size = {order: math.hypot(*(cause.values[one] for one in own)) for order, own in names.items()}
+    found = []
+    for order in sorted(size, key=lambda one: -size[one]) if len(size) > 1 else ():
+        rest = [one for one in names if one != order]
+        values = {name: cause.values[name] for one in rest for name in names[one]}
+        found.append(replace(cause, effect=with_orders({cause.axis: rest}), values=values))
+    return found
 
 
 def measured_by_others(problem: Problem) -> list[PlantBlock]:
