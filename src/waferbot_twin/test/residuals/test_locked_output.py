@@ -13,14 +13,16 @@ import pytest
 
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.gauss_newton import fit_causes
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals.from_measured_log import record_of_measured_log
 from waferbot_twin.residuals.observer_bandwidth import with_observers
 from waferbot_twin.residuals.plant_block import PlantBlock
-from waferbot_twin.residuals.problem import Cause, apply_all
+from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 
 AXIS = 'x_rotate'
+SEED = 11
 INERTIA, STIFFNESS, DAMPING = 0.02, 1500.0, 1.0  # of the description
 COUNTS = 65536 / (2.0 * np.pi)
 WAVES = 2.0 * np.pi * np.array([0.25, 0.8, 1.9])
@@ -90,3 +92,57 @@ def test_play_is_crossed_from_flank_to_flank(locked) -> None:
     torque = np.sin(np.outer(time_s, WAVES)) @ np.array([3.0, 1.0, 0.5])
     forward, backward = (np.median(found[sign * torque > 2.0]) for sign in (1.0, -1.0))
     assert backward - forward == pytest.approx(0.02, rel=0.05)
+
+
+def hysteresis(gap, stiffness, friction, damping, rng):
+    """
+    Return 12 s at 200 Hz of a drive with play and dry friction under a torque that goes up and down.
+
+    In explicit steps of 20 us, so that no code of the twin makes the log; its encoder's zero is
+    anywhere.
+    """
+    step_s, time_s, angle = 2e-5, [], []
+    x = speed = 0.0
+    rows = range(round(12.0 / step_s))
+    torques = (
+        4.0 * (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * np.arange(len(rows)) * step_s / 4))
+    )
+    for row, torque in zip(rows, torques.tolist(), strict=True):
+        beyond = abs(x) - 0.5 * gap
+        contact = np.sign(x) * stiffness * beyond + damping * speed if beyond > 0.0 else 0.0
+        push = torque - contact
+        if speed == 0.0 and abs(push) <= friction:
+            rate = 0.0
+        else:
+            rate = (push - friction * np.sign(speed or push)) / INERTIA
+        after = speed + step_s * rate
+        speed = after if speed * after >= 0.0 else 0.0
+        x += step_s * speed
+        if row % 250 == 0:
+            time_s.append(row * step_s)
+            angle.append(x)
+    noise = 2e-5 * rng.standard_normal(len(angle))
+    return MeasuredLog(
+        'log',
+        (
+            Signal('position', AXIS, 'rad', np.array(time_s), np.array(angle) + noise - 0.7),
+            Signal('force', AXIS, 'Nm', np.array(time_s), torques[::250]),
+        ),
+    )
+
+
+def test_play_and_friction_come_out_of_a_hysteresis(locked, random) -> None:
+    """What a test bench measures of a gear."""
+    log = hysteresis(0.02, 9000.0, 1.0, 2.0, random)
+    problem = Problem(locked, [record_of_measured_log(log, locked)])
+    begun = {
+        'backlash': {'gap': 0.016},
+        'coulomb_friction': {'friction': 1.4},
+        'coupling_compliance': {'compliance': 1.0 / 5000.0},
+    }
+    causes = tuple(Cause(find(name), AXIS, values) for name, values in begun.items())
+    found = fit_causes(problem, causes)
+    gap, friction, compliance = (next(iter(one.values.values())) for one in found.causes)
+    assert gap == pytest.approx(0.02, rel=0.02)
+    assert friction == pytest.approx(1.0, rel=0.02)
+    assert compliance == pytest.approx(1.0 / 9000.0, rel=0.3)
