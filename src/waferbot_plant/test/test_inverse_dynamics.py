@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from waferbot_lockstep.errors import UserError
 from waferbot_plant import plant
 from waferbot_plant.assembly import assemble
 from waferbot_plant.inverse_dynamics import InverseDynamics
@@ -93,3 +94,8 @@ def test_connections_that_give_are_rigid_in_it():
             rigid.timing,
         ).coordinates
     )
+
+
+def test_an_axis_whose_output_is_locked_has_none():
+    with pytest.raises(UserError, match=r'x_rotate drives is locked.*no inverse dynamics'):
+        InverseDynamics(load_machine('locked_cycloidal_drive').description)

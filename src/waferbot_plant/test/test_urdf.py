@@ -5,8 +5,11 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+import plant_machines as machines
 
 from waferbot_plant import plant
+from waferbot_plant.description_file import load_description
+from waferbot_plant.mjcf import mjcf
 from waferbot_plant.urdf import urdf
 
 
@@ -62,3 +65,20 @@ def test_the_one_transform_turns_y_up_into_z_up():
     roll = float(robot.find("joint[@name='machine_to_ros']/origin").get('rpy').split()[0])
     turn = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
     np.testing.assert_allclose(turn @ [0, 1, 0], [0, 0, 1], atol=1e-8)
+
+
+def with_second_locked():
+    """Return the description of two slides, the second one locked."""
+    data = machines.two_slides()
+    data['joints']['second_guide']['freedoms']['second']['locked'] = True
+    return load_description(machines.write(data))
+
+
+def test_what_is_locked_is_fixed_in_it_and_welded_in_mjcf():
+    robot = ElementTree.fromstring(urdf(with_second_locked()))
+    kinds = {joint.get('name'): joint.get('type') for joint in robot.findall('joint')}
+    assert kinds['y_linear'] == 'prismatic'
+    assert kinds['second_guide'] == 'fixed'
+    model = mujoco.MjModel.from_xml_string(mjcf(with_second_locked()))
+    assert model.njnt == 1
+    assert mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, model.nbody - 1) == 'second'

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import disturbances, friction_laws, motors, plant
 from waferbot_plant.assembly import assemble
@@ -46,7 +47,12 @@ class InverseDynamics:
     """The forces and currents that motions of a machine need; `axes` are those that have a motor."""
 
     def __init__(self, description: Description, timing: Timing | None = None) -> None:
-        """Take the machine with every connection rigid; raises `UserError`."""
+        """
+        Take the machine with every connection rigid.
+
+        Raises `UserError` for one that is not sound, or of which an axis cannot move then, as what it
+        drives is locked.
+        """
         connections = {
             name: replace(part, flexible=False) for name, part in description.connections.items()
         }
@@ -65,6 +71,13 @@ class InverseDynamics:
         self._state = self.machine.initial_state(self._parameters)
         size = len(self.machine.coordinates)
         placing = self.machine.assembly.placing
+        still = {placing[name][0] for name in rigid.locked if name in placing}
+        for axis in self.axes:
+            if placing[rigid.axes[axis]][0] in still:
+                raise UserError(
+                    f'{description.name}: what {axis} drives is locked, so with every connection '
+                    'rigid it cannot move and has no inverse dynamics'
+                )
         self._from_axes = np.zeros((size, len(self.axes)))
         self._arms = np.zeros((size, len(self.axes)))
         for column, axis in enumerate(self.axes):

@@ -18,6 +18,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import motors
+from waferbot_plant.assembly import Link
 from waferbot_plant.description import Description
 from waferbot_plant.inverse_dynamics import InverseDynamics
 
@@ -120,6 +121,9 @@ def mjcf(description: Description, dynamics: Mapping[str, JointDynamics] | None 
             bodies[link.parent + 1], 'body', name=name, pos=_text(link.point - parent)
         )
         bodies.append(body)
+        if link.freedom.locked:  # a body without a joint is welded to its parent
+            _inertial(body, link)
+            continue
         joint = {
             'name': axis_of.get(name, name),
             'type': 'hinge' if link.freedom.revolute else 'slide',
@@ -137,14 +141,7 @@ def mjcf(description: Description, dynamics: Mapping[str, JointDynamics] | None 
                 polycoef=f'0 {_number(ratio / of_other)} 0 0 0', solref=STIFF,
             )  # fmt: skip
         ElementTree.SubElement(body, 'joint', joint)
-        centre = link.first_moment / link.mass
-        inertia = link.inertia - link.mass * (
-            centre @ centre * np.eye(3) - np.outer(centre, centre)
-        )
-        full = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        ElementTree.SubElement(
-            body, 'inertial', mass=_number(link.mass), pos=_text(centre), fullinertia=_text(full)
-        )
+        _inertial(body, link)
     if len(equalities):
         root.append(equalities)
     actuators = ElementTree.SubElement(root, 'actuator')
@@ -155,6 +152,15 @@ def mjcf(description: Description, dynamics: Mapping[str, JointDynamics] | None 
         )
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding='unicode') + '\n'
+
+
+def _inertial(body: ElementTree.Element, link: Link) -> None:
+    centre = link.first_moment / link.mass
+    inertia = link.inertia - link.mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    full = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    ElementTree.SubElement(
+        body, 'inertial', mass=_number(link.mass), pos=_text(centre), fullinertia=_text(full)
+    )
 
 
 def _number(value: float) -> str:

@@ -69,7 +69,7 @@ def _moving_joint(
         if transmission.driven not in axis_of and transmission.driving in axis_of
     }
     for freedom in joint.freedoms:
-        if freedom.name not in axis_of and freedom.name not in followers:
+        if freedom.locked or freedom.name not in (*axis_of, *followers):
             continue
         kind = 'revolute' if freedom.revolute else 'prismatic'
         name = axis_of.get(freedom.name, freedom.name)
