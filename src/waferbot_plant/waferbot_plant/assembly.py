@@ -92,6 +92,12 @@ class Assembly:
     springs: tuple[Element, ...]
     cables: tuple[Element, ...]
 
+    @property
+    def locked(self) -> frozenset[int]:
+        """The places in z that stand still: of what is locked, and of what is tied to it rigidly."""
+        names = self.description.locked
+        return frozenset(self.placing[name][0] for name in names if name in self.placing)
+
 
 def assemble(description: Description) -> Assembly:
     """Build the arrays of a description with its connections switched as they are."""

@@ -71,9 +71,8 @@ class InverseDynamics:
         self._state = self.machine.initial_state(self._parameters)
         size = len(self.machine.coordinates)
         placing = self.machine.assembly.placing
-        still = {placing[name][0] for name in rigid.locked if name in placing}
         for axis in self.axes:
-            if placing[rigid.axes[axis]][0] in still:
+            if placing[rigid.axes[axis]][0] in self.machine.assembly.locked:
                 raise UserError(
                     f'{description.name}: what {axis} drives is locked, so with every connection '
                     'rigid it cannot move and has no inverse dynamics'

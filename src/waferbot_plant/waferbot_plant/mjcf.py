@@ -121,7 +121,7 @@ def mjcf(description: Description, dynamics: Mapping[str, JointDynamics] | None 
             bodies[link.parent + 1], 'body', name=name, pos=_text(link.point - parent)
         )
         bodies.append(body)
-        if link.freedom.locked:  # a body without a joint is welded to its parent
+        if row in assembly.locked:  # a body without a joint is welded to its parent
             _inertial(body, link)
             continue
         joint = {

@@ -149,10 +149,9 @@ class PlantBlock:
             if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
         ]
         self.channels = [ENCODERS[place] for place in self._places]
-        locked = variant.description.locked
-        held = {self._rigid[name][0] for name in locked if name in self._rigid}
         self.on_held = [
-            self._rigid.get(variant.description.encoders[name].coordinate, (-1, 1.0))[0] in held
+            self._rigid.get(variant.description.encoders[name].coordinate, (-1, 1.0))[0]
+            in variant.rigid.locked
             for name in self.channels
         ]
         # Of the model that is given: which encoder holds an axis is the same for all that are compared.
