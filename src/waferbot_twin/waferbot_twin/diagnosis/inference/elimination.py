@@ -199,8 +199,10 @@ def _odds_of_surest_order(
     """
     problem, most = pool.problem, -math.inf
     more = with_last(problem, found, name)
-    for fewer in with_an_order_less(more.causes[-1]):
-        base = with_in_its_place(problem, more, fewer, signatures_by_name(pool, found))
+    without_one = with_an_order_less(more.causes[-1])
+    known = signatures_by_name(pool, found) if without_one else {}
+    for fewer in without_one:
+        base = with_in_its_place(problem, more, fewer, known)
         if base is not None:
             most = max(most, log_odds_between(pool, more, base, parts=parts))
         if most > log_odds_at(pool.settings.named_from):
