@@ -111,11 +111,15 @@ def test_a_motor_by_its_force_per_ampere_alone() -> None:
     assert motors.force_constant(motor) == pytest.approx(35.0)
     assert motor.by_force
     assert motor.electrical_gain == pytest.approx(2.0 * 3.141592653589793)  # orders per metre
+    assert not motor.poles_known
     cycle = load_description(machines.write(by_force(electrical_cycle_m=0.02)))
+    assert cycle.motors['y_linear'].poles_known
     assert cycle.motors['y_linear'].electrical_gain == pytest.approx(
         2.0 * 3.141592653589793 / 0.02
     )
-    assert not load_description(machines.write(sound())).motors['y_linear'].by_force
+    wound = load_description(machines.write(sound())).motors['y_linear']
+    assert wound.poles_known
+    assert not wound.by_force
 
 
 @pytest.mark.parametrize(

@@ -245,7 +245,8 @@ class Motor:
     A three-phase motor as its data sheet gives it: values from lead to lead.
 
     Resistance in ohm, inductance in H, `back_emf` the amplitude in V per m/s or rad/s,
-    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate. Imperfections, see
+    `electrical_gain` the electrical angle (rad) per m or rad of the coordinate; a pair of poles in a
+    turn or in a metre stands for it where the poles are not `poles_known`. Imperfections, see
     `waferbot_plant.motors`: `saturation_current` in A, 0 for none; relative `phase_imbalance` of
     the windings 1 and 2.
 
@@ -269,6 +270,7 @@ class Motor:
     by_force: bool = False
     lag: float = 0.0
     peak_current: float = math.inf
+    poles_known: bool = True
 
 
 @dataclass(frozen=True)

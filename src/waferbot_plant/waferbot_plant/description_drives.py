@@ -33,6 +33,9 @@ FORCE_KEYS = ('force_per_ampere_n_a', 'torque_per_ampere_nm_a')
 LAG_KEY = 'lag_s'
 """How the force of a motor follows what its drive is told, where no amplifier is modelled."""
 
+CYCLE_KEYS = ('electrical_cycle_m', 'pole_pairs')
+"""How a description gives a motor's poles."""
+
 WINDING_KEYS = ('winding', 'resistance_lead_to_lead_ohm', 'inductance_lead_to_lead_h')
 
 _OF_WINDINGS = (
@@ -58,7 +61,8 @@ def read_motor(reader: Reader, axis: str) -> Motor:
         back_emf = reader.quantity(
             key, revolute, 'back_emf_lead_to_lead_v_s_m', 'back_emf_lead_to_lead_v_s_rad'
         )
-        cycle = reader.quantity(key, revolute, 'electrical_cycle_m', 'pole_pairs')
+        poles_known = True
+        cycle = reader.quantity(key, revolute, *CYCLE_KEYS)
         windings = (
             value['winding'],
             float(value['resistance_lead_to_lead_ohm']),
@@ -75,9 +79,8 @@ def read_motor(reader: Reader, axis: str) -> Motor:
         # Force is sqrt(3)/2 of the EMF from lead to lead, in either winding.
         back_emf = reader.quantity(key, revolute, *FORCE_KEYS) * 2.0 / math.sqrt(3.0)
         # Without poles, orders count per turn or per metre.
-        cycle_key = ('electrical_cycle_m', 'pole_pairs')
-        known = any(name in value for name in cycle_key)
-        cycle = reader.quantity(key, revolute, *cycle_key) if known else 1.0
+        poles_known = any(name in value for name in CYCLE_KEYS)
+        cycle = reader.quantity(key, revolute, *CYCLE_KEYS) if poles_known else 1.0
         windings = ('wye', STAND_IN_RESISTANCE, STAND_IN_INDUCTANCE)
     return Motor(
         axis,
@@ -92,6 +95,7 @@ def read_motor(reader: Reader, axis: str) -> Motor:
         any(name in value for name in FORCE_KEYS),
         float(value.get(LAG_KEY, 0.0)),
         float(value.get('peak_current_a', math.inf)),
+        poles_known,
     )
 
 

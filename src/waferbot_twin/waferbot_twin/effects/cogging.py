@@ -112,8 +112,9 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         for wave in ('cosine', 'sine')
     ]
     order = Parameter(
-        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True, fixed=True
-    )
+        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True, fixed=True,
+        guessed=not places.has_poles(variant, axis),
+    )  # fmt: skip
     return (*amplitudes, order)
 
 

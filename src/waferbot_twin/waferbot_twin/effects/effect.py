@@ -34,7 +34,8 @@ class Parameter:
     real machine (the first trial of a fit), `low` and `high` bound what is physically possible.
     A `shape` parameter has no effect of its own (a phase, a frequency, a time constant): it only
     says how the others act. A `fixed` one is given by how the machine was made (teeth, poles, a
-    turn): it is one of the trials, unless logs say plainly that it is none of them. What is held in
+    turn): it is one of the trials, unless logs say plainly that it is none of them. It is `guessed`
+    where the description does not have it, and the trials are what other machines have. What is held in
     whole numbers changes only in steps of `resolution`: a difference quotient must not be taken over
     less. 0 is continuous. `spread` is the standard deviation that it usually has about `neutral`: a
     prior that is part of the fit (`residuals.prior_block`); 0 where there is none.
@@ -50,6 +51,7 @@ class Parameter:
     shape: bool = False
     resolution: float = 0.0
     fixed: bool = False
+    guessed: bool = False
     spread: float = 0.0
 
 

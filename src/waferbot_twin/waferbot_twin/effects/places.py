@@ -154,13 +154,8 @@ def motor_ratio(variant: Variant, axis: str) -> float:
 
 
 def has_poles(variant: Variant, axis: str) -> bool:
-    """
-    Return whether the description has the poles of an axis' motor.
-
-    One by force per ampere alone has one pair a turn if not; a single pair is taken for that.
-    """
-    motor = variant.description.motors[axis]
-    return not motor.by_force or motor.electrical_gain != 1.0
+    """Return whether the description has the poles of an axis' motor."""
+    return variant.description.motors[axis].poles_known
 
 
 def electrical_cycle(variant: Variant, axis: str) -> float:

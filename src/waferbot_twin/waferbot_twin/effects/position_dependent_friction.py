@@ -35,6 +35,7 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         Parameter(
             'period', length, period, period, 0.02 * period, 10.0 * period,
             'of a turn, or of what is along a guide', shape=True, fixed=True,
+            guessed=not places.rotary(variant, axis),
         ),
     )  # fmt: skip
 

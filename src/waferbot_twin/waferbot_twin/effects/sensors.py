@@ -113,6 +113,9 @@ def eccentricity_effect(
         ratio = places.motor_ratio(variant, axis) if at_motor else 1.0
         return values['period'] / ratio
 
+    def known(variant: Variant, encoder: Encoder) -> bool:
+        return turns(variant, encoder) or bool(encoder.errors.eccentricity.amplitude)
+
     def periods(variant: Variant, axis: str) -> tuple[float, ...]:
         """Return a turn and half of it; of a scale, 0.1 m and 20 mm; the model's before others."""
         encoder = encoder_of(variant, axis)
@@ -131,9 +134,10 @@ def eccentricity_effect(
             Parameter('cosine', length, 0.0, typical, -most, most, 'amplitude of the cosine'),
             Parameter('sine', length, 0.0, 0.6 * typical, -most, most, 'amplitude of the sine'),
             Parameter(
-                'period', length, period, period, low, high, 'of the error', shape=True, fixed=True
+                'period', length, period, period, low, high, 'of the error', shape=True,
+                fixed=True, guessed=not known(variant, encoder),
             ),
-        )
+        )  # fmt: skip
 
     def changes(variant: Variant, axis: str, values: Mapping[str, float]) -> Overlay:
         if values['cosine'] == 0.0 and values['sine'] == 0.0:

@@ -14,7 +14,7 @@ from waferbot_twin.diagnosis.proposals.repetition import can_repeat, repeats_in
 from waferbot_twin.diagnosis.proposals.screening import candidates
 from waferbot_twin.effects import find, library
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.models import load_model
+from waferbot_twin.models import load_model, load_model_or_machine
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Record
 
@@ -116,3 +116,22 @@ def test_a_period_that_is_fitted_is_covered_by_a_log(nominal, name, values, held
     for travels, covered in (((short, short), longest == 0.0), ((short, long), True)):
         problem = problem_of(nominal, *({'x_rotate': travel} for travel in travels))
         assert repeats_in(problem, cause) == covered
+
+
+@pytest.mark.parametrize(('poles', 'order'), [({'pole_pairs': 1}, 2.0), ({}, 2.0), ({}, 6.0)])
+def test_a_period_that_no_description_has_is_covered_by_a_log_too(poles, order):
+    """Without poles nothing says how many teeth a motor has, and what is tried is what others have."""
+    machine = dict(Variant.of(load_model_or_machine('locked_cycloidal_drive')).machine)
+    motor = {**machine['motors']['x_rotate'], **poles}
+    known = Variant('motor', {**machine, 'motors': {'x_rotate': motor}}, 'improved', {}, {})
+    effect = find('cogging')
+    cause = Cause(
+        effect, 'x_rotate', effect.complete(known, 'x_rotate', {'order': order}), ('order',)
+    )
+    way = effect.repeats_after(known, 'x_rotate', cause.values)
+    assert way == pytest.approx(2.0 * math.pi / order)
+    for travel, told in ((0.9 * way, bool(poles)), (1.1 * way, True)):
+        problem = problem_of(known, {'x_rotate': travel})
+        assert repeats_in(problem, cause) == told
+        tried = {item.values['order'] for item in candidates(problem, [effect])}
+        assert (order in tried) == told

@@ -28,7 +28,7 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.diagnosis.proposals.repetition import can_repeat
+from waferbot_twin.diagnosis.proposals.repetition import can_repeat, repeats_in
 from waferbot_twin.diagnosis.proposals.threshold_grid import rungs
 from waferbot_twin.effects.effect import Effect, Parameter
 from waferbot_twin.effects.variant import Variant
@@ -156,7 +156,7 @@ def candidates(
                     for item in parameters
                 }
                 cause = Cause(effect, axis, values, held)
-                if not can_repeat(problem, cause):
+                if not (can_repeat(problem, cause) and repeats_in(problem, cause)):
                     continue
                 sized = any(not item.shape and item.name in trial for item in parameters)
                 found += rungs(problem, cause) if effect.threshold and not sized else [cause]
