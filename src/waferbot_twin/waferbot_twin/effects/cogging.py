@@ -112,9 +112,8 @@ def _parameters(variant: Variant, axis: str) -> tuple[Parameter, ...]:
         for wave in ('cosine', 'sine')
     ]
     order = Parameter(
-        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True, fixed=True,
-        guessed=not places.has_poles(variant, axis),
-    )  # fmt: skip
+        'order', '1/cycle', 2.0, 2.0, 0.01, 100.0, 'per electrical cycle', shape=True, fixed=True
+    )
     return (*amplitudes, order)
 
 
@@ -131,7 +130,13 @@ def _overlay(variant: Variant, axis: str, values: Mapping[str, float]) -> Overla
 
 
 def _trials(variant: Variant, axis: str) -> tuple[Values, ...]:
-    """Return once per pole, six per cycle, once per cycle; of rotary motors also the teeth."""
+    """
+    Return once per pole, six per cycle, once per cycle; of rotary motors also the teeth.
+
+    None of a motor whose poles nobody described: then logs have to show an order (`with_orders`).
+    """
+    if not places.has_poles(variant, axis):
+        return ()
     orders = [2.0, 6.0, 1.0]
     if places.motor_rotary(variant, axis):
         pole_pairs = abs(variant.description.motors[axis].electrical_gain)

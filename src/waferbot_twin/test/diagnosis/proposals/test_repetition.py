@@ -118,20 +118,29 @@ def test_a_period_that_is_fitted_is_covered_by_a_log(nominal, name, values, held
         assert repeats_in(problem, cause) == covered
 
 
-@pytest.mark.parametrize(('poles', 'order'), [({'pole_pairs': 1}, 2.0), ({}, 2.0), ({}, 6.0)])
-def test_a_period_that_no_description_has_is_covered_by_a_log_too(poles, order):
-    """Without poles nothing says how many teeth a motor has, and what is tried is what others have."""
+@pytest.mark.parametrize(('poles', 'orders'), [({'pole_pairs': 1}, {1.0, 2.0, 6.0}), ({}, set())])
+def test_no_order_of_poles_is_tried_that_nobody_described(poles, orders):
+    """Nothing says then how many teeth a motor has; what logs show is another candidate."""
     machine = dict(Variant.of(load_model_or_machine('locked_cycloidal_drive')).machine)
     motor = {**machine['motors']['x_rotate'], **poles}
     known = Variant('motor', {**machine, 'motors': {'x_rotate': motor}}, 'improved', {}, {})
     effect = find('cogging')
-    cause = Cause(
-        effect, 'x_rotate', effect.complete(known, 'x_rotate', {'order': order}), ('order',)
-    )
-    way = effect.repeats_after(known, 'x_rotate', cause.values)
-    assert way == pytest.approx(2.0 * math.pi / order)
-    for travel, told in ((0.9 * way, bool(poles)), (1.1 * way, True)):
-        problem = problem_of(known, {'x_rotate': travel})
+    tried = {
+        one.values['order'] for one in candidates(problem_of(known, {'x_rotate': 20.0}), [effect])
+    }
+    assert tried == orders
+
+
+@pytest.mark.parametrize('length', [0.06, 0.2])
+def test_a_period_that_others_have_is_covered_by_a_log(nominal, length):
+    """Screws of a rail 60 mm apart are usual, and in no description."""
+    effect = find('position_dependent_friction')
+    values = effect.complete(nominal, 'y_linear', {'period': length})
+    cause = Cause(effect, 'y_linear', values, ('period',))
+    for travel, told in ((0.9 * length, False), (1.1 * length, True)):
+        problem = problem_of(nominal, {'y_linear': travel})
         assert repeats_in(problem, cause) == told
-        tried = {item.values['order'] for item in candidates(problem, [effect])}
-        assert (order in tried) == told
+        tried = {
+            one.values['period'] for one in candidates(problem, [effect]) if one.axis == 'y_linear'
+        }
+        assert (length in tried) == told
