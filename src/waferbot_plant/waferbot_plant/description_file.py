@@ -190,7 +190,8 @@ def _check_grammar(document: Document, data: dict[str, Any]) -> None:
     if error.validator == 'additionalProperties' and error.schema.get('properties'):
         known = error.schema['properties']
         unknown = sorted(set(error.instance) - set(known))[0]
-        raise document.error((*key, unknown), f'unknown key{did_you_mean(unknown, known)}')
+        hint = did_you_mean(unknown, known) or f' (keys here: {", ".join(known)})'
+        raise document.error((*key, unknown), f'unknown key{hint}')
     if error.validator == 'required':
         missing = [name for name in error.validator_value if name not in error.instance]
         raise document.error(key, f'{" and ".join(missing)} missing')

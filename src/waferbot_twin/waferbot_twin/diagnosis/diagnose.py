@@ -55,6 +55,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.hypothesis import Hypothesis, evaluate, standard_errors
 from waferbot_twin.estimation.intervals import Intervals, Rival, intervals_95
 from waferbot_twin.estimation.known_values import Known
+from waferbot_twin.estimation.noise_of_currents import without_noise_of_currents
 from waferbot_twin.estimation.usual_spread import with_usual_spread
 from waferbot_twin.residuals.from_measured_log import sized_by
 from waferbot_twin.residuals.observer_bandwidth import with_observers
@@ -172,6 +173,10 @@ def diagnose(
     if not validation:
         estimation, validation = _divide(estimation)
         notes.append(said.ONE_LOG)
+    logs = [*estimation, *validation]
+    parts = [part for one in in_windows(logs, nominal) for part in one.records]
+    logs, quiet = without_noise_of_currents(sized_by(logs, nominal), logs, parts, workers)
+    estimation, validation = logs[: len(estimation)], logs[len(estimation) :]
     windows = [*in_windows(estimation, nominal), *in_windows(validation, nominal)]
     estimation, validation = (
         [part for one in some for part in one.records]
@@ -181,6 +186,7 @@ def diagnose(
     if not all(record.is_imported or record.closes_loop for record in records):
         notes.append(said.NO_CONTROLLER)
     notes += list(dict.fromkeys(n for record in records for n in record.notes))
+    notes += quiet
     nominal = sized_by(records, nominal)
     dense, numbers = nuisance(nominal, records, settings)
     groups = prior_groups(numbers)

@@ -19,6 +19,7 @@ from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.known_values import Known
+from waferbot_twin.estimation.noise_of_currents import without_noise_of_currents
 from waferbot_twin.identification.estimation import Estimate, Progress, estimate, with_known
 from waferbot_twin.identification.named_parameters import NamedParameter
 from waferbot_twin.identification.whiteness import LAGS, Whiteness, whiteness
@@ -84,11 +85,13 @@ def identify(
     Raises `UserError` if the logs show none of them or the model cannot be simulated.
     """
     begun_s = time.perf_counter()
+    logs, quiet = without_noise_of_currents(nominal, [*records, *judging], records, workers)
+    records, judging = logs[: len(records)], logs[len(records) :]
     problem = Problem(nominal, with_observers(records, nominal, nominal))
     fitted = estimate(problem, parameters, progress, workers)
     found, told = with_known(problem, fitted, known or {})
     identified = found.variant(nominal)
-    notes = [*_notes(found), *told]
+    notes = [*_notes(found), *quiet, *told]
     judges = list(judging or records)
     try:
         measured = gains(nominal, identified, judges)
