@@ -15,6 +15,10 @@ BANDWIDTHS = {
     'ball_screw_stage': ('y_linear=25',),
     'scara': ('y_linear=15', 'x_rotate=8', 'y_rotate=8'),
     'gantry': ('y_linear=25', 'x_rotate=20', 'y_rotate=10'),
+    'puma_560': (
+        *('waist=8', 'shoulder=8', 'elbow=10'),
+        *('wrist_roll=12', 'wrist_bend=12', 'flange=12'),
+    ),
 }
 TOPICS = ('encoders', 'phase_currents', 'current_command', 'phase_voltages', 'servo_state')
 
@@ -73,6 +77,20 @@ SLOW = {
     ],
 }
 
+# All six axes of the arm at once, each its own way.
+TURNS = {
+    'name': 'turns',
+    'duration_s': 0.6,
+    'motion': {
+        axis: {'kind': 'step', 'start_s': 0.002, 'amplitude_counts': 200 * (place + 1)}
+        for place, axis in enumerate(
+            ('waist', 'shoulder', 'elbow', 'wrist_roll', 'wrist_bend', 'flange')
+        )
+    },
+}
+OWN = {'gantry': SLIDES, 'puma_560': TURNS}
+"""Experiments of examples that the shipped ones do not suit."""
+
 
 def written(folder, experiment):
     """Return the file of an experiment."""
@@ -101,7 +119,7 @@ def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(name, commissio
     pytest.importorskip('fmpy')
     model, fmu = commissioned(name), tmp_path / 'plant.fmu'
     output_of('export-fmu', '--model', model, '--out', fmu)
-    experiment = written(tmp_path, SLIDES) if name == 'gantry' else 'step'
+    experiment = written(tmp_path, OWN[name]) if name in OWN else 'step'
     what = ('run', '--model', model, '--experiment', experiment, '--duration', '0.03')
     ways = {
         'here': ('--engine', 'inprocess'),

@@ -22,6 +22,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from waferbot_lockstep.contract import AMPLIFIER_STATE, CONTRACT_TOPICS, PHASE_VOLTAGES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.wire import WireFormat
 from waferbot_twin.cli.info import describe
@@ -193,8 +194,8 @@ def write_with_hole(folder, topic, hole, ticks=400):
         for tick in range(0, ticks, account.topics[one].spacing):
             if one is topic and tick == hole:
                 continue
-            data = wire.encode(tick, timing.stamp_ns(tick), one.all_places, [0] * width)
-            account.topics[one].is_new(tick, one.all_places)
+            data = wire.encode(tick, timing.stamp_ns(tick), one.all_places(SHIPPED), [0] * width)
+            account.topics[one].is_new(tick, one.all_places(SHIPPED))
             writer.write(f'/{one.name}', timing.stamp_ns(tick), data)
     return writer, account
 
@@ -214,7 +215,7 @@ def test_what_lacks_of_a_tick_that_was_broken_off_is_not_missing(tmp_path):
 )
 def test_a_gap_is_found_and_said(tmp_path, topic, hole):
     writer, account = write_with_hole(tmp_path / 'run', topic, hole)
-    places = len(topic.places)
+    places = len(topic.places(SHIPPED))
     with pytest.raises(UserError, match=f'{places} missing of .*{topic.name}: {places}') as error:
         close_complete(writer, account, 400)
     assert f'everything up to tick {hole} is there' in str(error.value)

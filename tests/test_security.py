@@ -64,8 +64,8 @@ def test_every_node_may_do_what_it_does_and_no_more(start, domain, connect):
     client = connect(domain)
     for node in NODES:
         start_node(start, node, domain, 'timekeeping:=realtime', 'startup_timeout_s:=600.0')
-    # where one records, and where ROS has the package simulation_interfaces
-    may_be_there = {'/recorded', *(f'/plant/{name}' for name in SIMULATOR)}
+    # where one records, of a machine with axes of its own, and where ROS has simulation_interfaces
+    may_be_there = {'/recorded', '/machine_axes', *(f'/plant/{name}' for name in SIMULATOR)}
     may = {node: names_of(node) for node in NODES}
 
     def done():

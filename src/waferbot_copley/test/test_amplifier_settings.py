@@ -11,6 +11,7 @@ from waferbot_copley import filters
 from waferbot_copley.settings import SETTINGS, amplifier_parameters, settings_of
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.timing import Timing
 
@@ -111,3 +112,14 @@ def test_shipped_configuration_is_accepted():
     assert tuple(settings) == AXES
     parameters = amplifier_parameters(settings, where=path.name)
     assert parameters['commutation_encoder'].tolist() == [[0, 1, 3]]
+
+
+def test_amplifiers_of_another_machine_have_its_axes_and_encoders():
+    arm = Layout(('lift', 'elbow'), ('lift', 'elbow_load', 'elbow_motor'))
+    p = amplifier_parameters({'elbow': {'bus_voltage': 48.0}}, where='arm', layout=arm)[0]
+    assert p['commutation_encoder'].tolist() == [0, 2]  # the one on the motor
+    assert p['bus_voltage'][1] == 48.0
+    with pytest.raises(UserError, match='commutation_encoder is 3; the range is 0 to 2'):
+        amplifier_parameters({'elbow': {'commutation_encoder': 3}}, where='arm', layout=arm)
+    with pytest.raises(UserError, match="unknown axis 'y_linear'"):
+        amplifier_parameters({'y_linear': {}}, where='arm', layout=arm)

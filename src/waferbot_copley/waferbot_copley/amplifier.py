@@ -22,6 +22,8 @@ all three. Inputs of the drive that are not in the lock-step are fields of the s
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from waferbot_copley import faults as fault
@@ -51,12 +53,12 @@ from waferbot_copley.limiter import (
     clamp,
     is_limited,
 )
-from waferbot_copley.settings import AMPLIFIER_PARAMETERS, SCALAR
+from waferbot_copley.settings import SCALAR, amplifier_parameter_dtype
 from waferbot_lockstep.compiled import compiled
 
 __all__ = [
-    'AMPLIFIER_PARAMETERS',
-    'AMPLIFIER_STATE',
+    'amplifier_parameter_dtype',
+    'amplifier_state_dtype',
     'changed',
     'follow_voltage',
     'initial_state',
@@ -66,41 +68,48 @@ __all__ = [
     'step',
 ]
 
-AMPLIFIER_STATE = np.dtype(
-    [
-        # inputs beside the lock-step, one place per axis
-        ('safe_torque_off', 'u1', (3,)),  # 1: gate drive removed
-        ('following_error_input', 'u1', (3,)),  # 1: the position loop reports a following error
-        ('hall_state', 'u1', (3,)),  # bit k - 1: Hall sensor of line k; 0: none fitted
-        ('motor_temperature', 'f8', (3,)),  # degC
-        # current loop
-        ('starting', 'u1', (3,)),  # 1: the bridge goes on with the next tick
-        ('integrator', 'f8', (3, 2)),  # of lines 1 and 2, or of d and q; V per 32 / Ipeak
-        ('filter_memory', 'f8', (3, 2, 2, 2)),  # axis, line (or command), filter, delay
-        ('pending_voltage', 'f8', (3, 3)),  # V, waits one tick with update_delay 1
-        (
-            'bus_power',
-            'f8',
-            (3,),
-        ),  # W into the motor in the last tick; kept with a soft supply only
-        # limits
-        ('i2t_accumulator', 'f8', (3, 2)),  # A^2 s, of the drive and of the user
-        ('i2t_limited', 'u1', (3, 2)),
-        ('heat_sink_temperature', 'f8', (3,)),  # degC
-        # what there is to report
-        ('faults', 'u4', (3,)),
-        ('limits', 'u1', (3,)),  # peak and voltage, since the last report
-        ('reported_faults', 'u4', (3,)),
-        ('reported_limits', 'u1', (3,)),
-    ],
-    align=True,
-)
-"""What the amplifiers remember from tick to tick: an array of one element."""
+
+@functools.cache
+def amplifier_state_dtype(axes: int) -> np.dtype:
+    """Return the dtype of what the amplifiers of so many axes remember from tick to tick."""
+    return np.dtype(
+        [
+            # inputs beside the lock-step, one place per axis
+            ('safe_torque_off', 'u1', (axes,)),  # 1: gate drive removed
+            (
+                'following_error_input',
+                'u1',
+                (axes,),
+            ),  # 1: the position loop reports a following error
+            ('hall_state', 'u1', (axes,)),  # bit k - 1: Hall sensor of line k; 0: none fitted
+            ('motor_temperature', 'f8', (axes,)),  # degC
+            # current loop
+            ('starting', 'u1', (axes,)),  # 1: the bridge goes on with the next tick
+            ('integrator', 'f8', (axes, 2)),  # of lines 1 and 2, or of d and q; V per 32 / Ipeak
+            ('filter_memory', 'f8', (axes, 2, 2, 2)),  # axis, line (or command), filter, delay
+            ('pending_voltage', 'f8', (axes, 3)),  # V, waits one tick with update_delay 1
+            (
+                'bus_power',
+                'f8',
+                (axes,),
+            ),  # W into the motor in the last tick, with a soft supply only
+            # limits
+            ('i2t_accumulator', 'f8', (axes, 2)),  # A^2 s, of the drive and of the user
+            ('i2t_limited', 'u1', (axes, 2)),
+            ('heat_sink_temperature', 'f8', (axes,)),  # degC
+            # what there is to report
+            ('faults', 'u4', (axes,)),
+            ('limits', 'u1', (axes,)),  # peak and voltage, since the last report
+            ('reported_faults', 'u4', (axes,)),
+            ('reported_limits', 'u1', (axes,)),
+        ],
+        align=True,
+    )
 
 
 def initial_state(parameters: np.ndarray) -> np.ndarray:
-    """Return the state (`AMPLIFIER_STATE`, shape (1,)) of cold amplifiers, enabled and at rest."""
-    state = np.zeros(1, AMPLIFIER_STATE)
+    """Return the state (`amplifier_state_dtype`, shape (1,)) of cold amplifiers, enabled, at rest."""
+    state = np.zeros(1, amplifier_state_dtype(len(parameters['mode'][0])))
     state['starting'] = 1
     state['motor_temperature'] = parameters['ambient_temperature']
     state['heat_sink_temperature'] = parameters['ambient_temperature']
@@ -109,7 +118,7 @@ def initial_state(parameters: np.ndarray) -> np.ndarray:
 
 def reset_faults(state: np.ndarray, axes: int) -> None:
     """Clear the faults of the axes in the mask; a cause that persists is found again."""
-    for axis in range(3):
+    for axis in range(len(state['faults'][0])):
         if axes >> axis & 1:
             state['faults'][0, axis] = 0
 
@@ -119,18 +128,18 @@ def step(state, parameters, axes, command, line_currents, counts, voltage):
     """
     Advance the amplifiers whose bit is set in the whole number `axes` by one tick.
 
-    state, parameters  arrays of one element, `AMPLIFIER_STATE` and `AMPLIFIER_PARAMETERS`
-    command            float64 (3,): current command in A, peak of the sine, positive forward
-    line_currents      float64 (6,): measured currents of lines 1 and 2 of each motor in A,
+    state, parameters  arrays of one element, with places for n axes
+    command            float64 (n,): current command in A, peak of the sine, positive forward
+    line_currents      float64 (2 n,): measured currents of lines 1 and 2 of each motor in A,
                        positive into the motor
-    counts             int64 (4,): newest encoder counts
-    voltage            float64 (9,), out: terminals 1, 2, 3 of each motor in V, against the middle
+    counts             int64 (encoders,): newest encoder counts
+    voltage            float64 (3 n,), out: terminals 1, 2, 3 of each motor in V, against the middle
                        of the bus; places of other axes are left alone
 
     All inputs must be finite. A bridge that is off (fault or safe torque off) gives zeros; that
     its terminals are then open is for the motor's model to know, from the faults.
     """
-    for axis in range(3):
+    for axis in range(len(parameters[0]['mode'])):
         if axes >> axis & 1:
             _step_axis(state, parameters, axis, command, line_currents, counts, voltage)
 
@@ -313,7 +322,8 @@ def follow_voltage(state, parameters, counts, error, share):
     """
     Take a share of a voltage that is missing into the integrators: the drive as an observer of another.
 
-    error  float64 (9,): terminals of the other drive less those of this one in the last `step`, V; what
+    error  float64 (3 n,): terminals of the other drive less those of this one in the last `step`, V;
+    what
            is common to the three of a motor is left out
     counts as in `step`
 
@@ -322,7 +332,7 @@ def follow_voltage(state, parameters, counts, error, share):
     """
     s = state[0]
     p = parameters[0]
-    for axis in range(3):
+    for axis in range(len(p['mode'])):
         if s['starting'][axis]:
             continue
         common = (error[3 * axis] + error[3 * axis + 1] + error[3 * axis + 2]) / 3.0
@@ -393,7 +403,7 @@ def changed(state):
     """
     s = state[0]
     axes = 0
-    for axis in range(3):
+    for axis in range(len(s['faults'])):
         limits, reported = _limits(s, axis), s['reported_limits'][axis]
         if (
             s['faults'][axis] != s['reported_faults'][axis]
@@ -412,7 +422,7 @@ def open_bridges(state):
     The terminals of such a motor float; the zeros that `step` puts out for it are no voltages.
     """
     mask = 0
-    for axis in range(3):
+    for axis in range(len(state[0]['faults'])):
         if state[0]['faults'][axis] & fault.DISABLING:
             mask |= 1 << axis
     return mask
@@ -423,14 +433,14 @@ def report(state, parameters, axes, accumulator, setpoint, limits, faults):
     """
     Fill the arrays of an `AmplifierState` message for the axes in the mask; begin a new period.
 
-    accumulator, setpoint  float64 (3,) in A^2 s: of the drive or of the user, whichever is nearer
+    accumulator, setpoint  float64 (n,) in A^2 s: of the drive or of the user, whichever is nearer
                            to its set point
-    limits                 uint8 (3,): peak and voltage limits since the last report, I2T now
-    faults                 uint32 (3,): faults that hold now
+    limits                 uint8 (n,): peak and voltage limits since the last report, I2T now
+    faults                 uint32 (n,): faults that hold now
     """
     s = state[0]
     p = parameters[0]
-    for axis in range(3):
+    for axis in range(len(p['mode'])):
         if not axes >> axis & 1:
             continue
         drive = s['i2t_accumulator'][axis, DRIVE] * p['i2t_setpoint'][axis, USER]

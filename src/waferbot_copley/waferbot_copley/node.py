@@ -2,9 +2,10 @@
 """
 The Copley amplifiers as a ROS 2 node: current commands and measured currents in, voltages out.
 
-One node drives the axes named by its parameter `axes`: all three, or one each in three nodes. Every
-setting of an amplifier is a parameter (`y_linear.peak_current`, ...). Service `~/reset_faults` clears
-the latched faults, `~/safe_torque_off` takes the gate drive away and gives it back.
+One node drives the axes named by its parameter `axes`: all of the machine (`machine_axes`), or one each
+in as many nodes. Every setting of an amplifier is a parameter (`y_linear.peak_current`, ...). Service
+`~/reset_faults` clears the latched faults, `~/safe_torque_off` takes the gate drive away and gives it
+back.
 """
 
 from __future__ import annotations
@@ -24,19 +25,17 @@ from waferbot_copley.faults import describe
 from waferbot_copley.node_settings import DEVICE_SETTINGS, FAULT, POLICIES, RAMP, TWIN
 from waferbot_copley.settings import amplifier_parameters, settings_of
 from waferbot_lockstep.contract import (
-    ALL_ENCODERS,
     AMPLIFIER_STATE,
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
     SLOW_DIVIDER,
     Topic,
-    axes_mask,
 )
 from waferbot_lockstep.device_input import DeviceInput
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.node import LOCKSTEP, LockstepNode, Trouble, run_node
 
 SHARE_OF_PATIENCE = 0.5
@@ -52,9 +51,10 @@ class CopleyNode(LockstepNode):
     def __init__(self, **node_options: Any) -> None:
         """Declare the settings of the driven axes and compile the current loop."""
         self._settings: dict[str, dict[str, Any]] = {}
-        super().__init__('copley', {}, (), **node_options)
-        names = self.declare_fixed('axes', list(AXES), 'the axes that this node drives')
-        self._axes = _mask(names)
+        super().__init__('copley', (), (), **node_options)
+        machine = self.layout
+        names = self.declare_fixed('axes', list(machine.axes), 'the axes that this node drives')
+        self._axes = _mask(names, machine)
         self.offer(PHASE_VOLTAGES, self._axes)
         self.offer(AMPLIFIER_STATE, self._axes)
         self._device_policy = self.declare_choice(
@@ -70,20 +70,23 @@ class CopleyNode(LockstepNode):
         self._device_waited = -1, 0.0, False  # for which tick, since when, and whether told
         self.need(PHASE_CURRENTS, self._axes)
         self.need(CURRENT_COMMAND, self._axes)
-        self.need(ENCODERS_TOPIC, ALL_ENCODERS)
+        self.need(ENCODERS_TOPIC, machine.all_encoders)
         self._inputs = tuple(self.inboxes.values())
-        self._settings = {axis: self.declare_settings(axis, settings_of(axis)) for axis in names}
-        self._model_parameters = amplifier_parameters(self._settings, self.timing, 'copley')
+        self._settings = {
+            axis: self.declare_settings(axis, settings_of(axis, machine)) for axis in names
+        }
+        self._model_parameters = self._parameters_of(self._settings)
         self._model_state = amplifier.initial_state(self._model_parameters)
         self._tick = 0
         self._waiting_tick: int | None = None  # in real time, the tick that lacks an input
         self._waiting_since_s = 0.0
-        self._voltage = np.zeros(3 * len(AXES))
-        self._accumulator = np.zeros(len(AXES))
-        self._setpoint = np.zeros(len(AXES))
-        self._limits = np.zeros(len(AXES), np.uint8)
-        self._faults = np.zeros(len(AXES), np.uint32)
-        self._faults_told = [0] * len(AXES)
+        axes = len(machine.axes)
+        self._voltage = np.zeros(3 * axes)
+        self._accumulator = np.zeros(axes)
+        self._setpoint = np.zeros(axes)
+        self._limits = np.zeros(axes, np.uint8)
+        self._faults = np.zeros(axes, np.uint32)
+        self._faults_told = [0] * axes
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)
         self.create_service(Trigger, '~/reset_faults', self._on_reset_faults)
@@ -92,7 +95,7 @@ class CopleyNode(LockstepNode):
     def lockstep_input(self, topic: Topic, mask: int) -> Any:
         """Return the input of a topic in lock-step, or of one whose messages are the clock."""
         if topic is CURRENT_COMMAND and self._device_policy != TWIN:
-            return DeviceInput(topic, self.timing, mask)
+            return DeviceInput(topic, self.timing, mask, self.layout)
         return super().lockstep_input(topic, mask)
 
     def watch(self, now_s: float) -> None:
@@ -117,7 +120,11 @@ class CopleyNode(LockstepNode):
 
     def parameters_of_others(self) -> list[str]:
         """Return the settings of axes that other nodes drive; a file may hold those of all."""
-        return [f'{axis}.{setting.name}' for axis in AXES for setting in settings_of(axis)]
+        return [
+            f'{axis}.{setting.name}'
+            for axis in self.layout.axes
+            for setting in settings_of(axis, self.layout)
+        ]
 
     @property
     def tick(self) -> int:
@@ -243,7 +250,7 @@ class CopleyNode(LockstepNode):
 
     def _tell_faults(self, tick: int) -> None:
         """Say once that an amplifier has found a fault."""
-        for place, axis in enumerate(AXES):
+        for place, axis in enumerate(self.layout.axes):
             found = int(self._faults[place])
             if self._axes >> place & 1 and found & ~self._faults_told[place]:
                 self.get_logger().error(
@@ -259,7 +266,7 @@ class CopleyNode(LockstepNode):
             values = {f'device {name}': str(count) for name, count in counts.items()}
         return values, [
             (DiagnosticStatus.ERROR, f'{axis}: {describe(found)}')
-            for axis, found in zip(AXES, self._faults_told, strict=True)
+            for axis, found in zip(self.layout.axes, self._faults_told, strict=True)
             if found
         ]
 
@@ -268,12 +275,15 @@ class CopleyNode(LockstepNode):
     def check_change(self, changes: Mapping[str, Any]) -> None:
         """Refuse limits that contradict each other and impossible filters."""
         if self._settings:
-            amplifier_parameters(self._changed_settings(changes), self.timing, 'copley')
+            self._parameters_of(self._changed_settings(changes))
 
     def _apply_parameters(self, parameters: Sequence[RosParameter]) -> None:
         changes = {parameter.name: parameter.value for parameter in parameters}
         self._settings = self._changed_settings(changes)
-        self._model_parameters = amplifier_parameters(self._settings, self.timing, 'copley')
+        self._model_parameters = self._parameters_of(self._settings)
+
+    def _parameters_of(self, settings: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+        return amplifier_parameters(settings, self.timing, 'copley', self.layout)
 
     def _changed_settings(self, changes: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         settings = {axis: dict(values) for axis, values in self._settings.items()}
@@ -290,7 +300,7 @@ class CopleyNode(LockstepNode):
         return response
 
     def _on_safe_torque_off(self, request: Any, response: Any) -> Any:
-        for axis in range(len(AXES)):
+        for axis in range(len(self.layout.axes)):
             if self._axes >> axis & 1:
                 self._model_state['safe_torque_off'][0, axis] = request.data
         response.success = True
@@ -322,13 +332,13 @@ class CopleyNode(LockstepNode):
         )
 
 
-def _mask(names: Sequence[str]) -> int:
-    unknown = [name for name in names if name not in AXES]
+def _mask(names: Sequence[str], layout: Layout) -> int:
+    unknown = [name for name in names if name not in layout.axes]
     if unknown or not names:
         raise UserError(
-            f'copley: parameter axes is {list(names)}; give one or more of {", ".join(AXES)}'
+            f'copley: parameter axes is {list(names)}; give one or more of {", ".join(layout.axes)}'
         )
-    return axes_mask(tuple(names))
+    return layout.mask(names)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

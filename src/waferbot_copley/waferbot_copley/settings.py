@@ -11,6 +11,7 @@ still, because the state of the loop would lose its meaning.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping
 
@@ -19,16 +20,13 @@ import numpy as np
 from waferbot_copley import faults, filters
 from waferbot_copley.current_loop import DUTY_SCALE
 from waferbot_copley.limiter import DRIVE, USER, i2t_setpoint
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.parameters import Parameter, Value, check_settings, did_you_mean
 from waferbot_lockstep.timing import Timing
 
 SCALAR, EACH_PHASE = 0, 1
 """Values of the setting `limit_order`."""
-
-COMMUTATION_ENCODERS = (0, 1, 3)
-"""Encoder that each axis is commutated by: the one on its motor."""
 
 FILTERS = (1, 2)
 FILTER_COEFFICIENTS = ('b0', 'b1', 'b2', 'a1', 'a2')
@@ -144,56 +142,67 @@ SETTINGS = (
 """Every setting of one amplifier."""
 
 
-AMPLIFIER_PARAMETERS = np.dtype(
-    [
-        ('tick_s', 'f8'),
-        # one place per axis
-        ('mode', 'i8', (3,)),
-        ('limit_order', 'i8', (3,)),
-        ('update_delay', 'i8', (3,)),
-        ('commutation_encoder', 'i8', (3,)),
-        ('counts_per_electrical_cycle', 'f8', (3,)),
-        ('commutation_offset_turn', 'f8', (3,)),
-        ('current_offset', 'f8', (3,)),
-        ('filtered', 'u1', (3,)),  # whether any filter is enabled
-        ('filter_coefficients', 'f8', (3, 2, 5)),  # filter 1 and 2: b0 b1 b2 a1 a2
-        ('peak_limit', 'f8', (3,)),  # A
-        ('continuous_limit', 'f8', (3, 2)),  # A, of the drive and of the user
-        ('i2t_setpoint', 'f8', (3, 2)),  # A^2 s, likewise
-        ('i2t_fault', 'u1', (3,)),
-        ('proportional', 'f8', (3,)),  # V per unit of 32 / Ipeak: s Cp
-        ('integral', 'f8', (3,)),  # per tick: s c Ci
-        ('tracking', 'f8', (3,)),  # Ki / Kp of the back-calculation, at most 1
-        ('bus_compensation', 'f8', (3,)),  # 32 / Vbus
-        ('bus_gain', 'f8', (3,)),  # Vbus / Ipeak
-        ('motor_line_resistance', 'f8', (3,)),  # ohm: half of that from lead to lead
-        ('bus_voltage', 'f8', (3,)),
-        ('bus_resistance', 'f8', (3,)),
-        ('bus_feedforward', 'u1', (3,)),
-        ('dead_time_voltage', 'f8', (3,)),
-        ('dead_time_current', 'f8', (3,)),
-        ('voltage_limit', 'i8', (3,)),
-        ('over_current', 'f8', (3,)),  # A
-        ('over_voltage', 'f8', (3,)),
-        ('under_voltage', 'f8', (3,)),
-        ('drive_over_temperature', 'f8', (3,)),
-        ('motor_over_temperature', 'f8', (3,)),
-        ('ambient_temperature', 'f8', (3,)),
-        ('heat_sink_rise', 'f8', (3,)),  # K per A^2 of amplitude squared, in the long run
-        ('heat_sink_share', 'f8', (3,)),  # share of the way to the final temperature in one tick
-        ('phasing_tolerance_sine', 'f8', (3,)),
-        ('latched_faults', 'u4', (3,)),
-    ],
-    align=True,
-)
-"""What one tick needs, worked out from the settings: an array of one element."""
+@functools.cache
+def amplifier_parameter_dtype(axes: int) -> np.dtype:
+    """Return the dtype of what one tick of so many amplifiers needs, worked out from the settings."""
+    return np.dtype(
+        [
+            ('tick_s', 'f8'),
+            # one place per axis
+            ('mode', 'i8', (axes,)),
+            ('limit_order', 'i8', (axes,)),
+            ('update_delay', 'i8', (axes,)),
+            ('commutation_encoder', 'i8', (axes,)),
+            ('counts_per_electrical_cycle', 'f8', (axes,)),
+            ('commutation_offset_turn', 'f8', (axes,)),
+            ('current_offset', 'f8', (axes,)),
+            ('filtered', 'u1', (axes,)),  # whether any filter is enabled
+            ('filter_coefficients', 'f8', (axes, 2, 5)),  # filter 1 and 2: b0 b1 b2 a1 a2
+            ('peak_limit', 'f8', (axes,)),  # A
+            ('continuous_limit', 'f8', (axes, 2)),  # A, of the drive and of the user
+            ('i2t_setpoint', 'f8', (axes, 2)),  # A^2 s, likewise
+            ('i2t_fault', 'u1', (axes,)),
+            ('proportional', 'f8', (axes,)),  # V per unit of 32 / Ipeak: s Cp
+            ('integral', 'f8', (axes,)),  # per tick: s c Ci
+            ('tracking', 'f8', (axes,)),  # Ki / Kp of the back-calculation, at most 1
+            ('bus_compensation', 'f8', (axes,)),  # 32 / Vbus
+            ('bus_gain', 'f8', (axes,)),  # Vbus / Ipeak
+            ('motor_line_resistance', 'f8', (axes,)),  # ohm: half of that from lead to lead
+            ('bus_voltage', 'f8', (axes,)),
+            ('bus_resistance', 'f8', (axes,)),
+            ('bus_feedforward', 'u1', (axes,)),
+            ('dead_time_voltage', 'f8', (axes,)),
+            ('dead_time_current', 'f8', (axes,)),
+            ('voltage_limit', 'i8', (axes,)),
+            ('over_current', 'f8', (axes,)),  # A
+            ('over_voltage', 'f8', (axes,)),
+            ('under_voltage', 'f8', (axes,)),
+            ('drive_over_temperature', 'f8', (axes,)),
+            ('motor_over_temperature', 'f8', (axes,)),
+            ('ambient_temperature', 'f8', (axes,)),
+            ('heat_sink_rise', 'f8', (axes,)),  # K per A^2 of amplitude squared, in the long run
+            (
+                'heat_sink_share',
+                'f8',
+                (axes,),
+            ),  # share of the way to the final temperature in one tick
+            ('phasing_tolerance_sine', 'f8', (axes,)),
+            ('latched_faults', 'u4', (axes,)),
+        ],
+        align=True,
+    )
 
 
-def settings_of(axis: str) -> tuple[Parameter, ...]:
-    """Return the settings of one axis; only the default of the commutation encoder differs."""
-    encoder = COMMUTATION_ENCODERS[AXES.index(axis)]
+def settings_of(axis: str, layout: Layout = SHIPPED) -> tuple[Parameter, ...]:
+    """
+    Return the settings of one axis of a machine; only those of the commutation encoder differ.
+
+    It is the one on the motor where there are two; it is one of those that there are.
+    """
+    encoder = layout.encoder_place(layout.encoders_of(axis)[-1])
+    last = len(layout.encoders) - 1
     return tuple(
-        dataclasses.replace(setting, default=encoder)
+        dataclasses.replace(setting, default=encoder, high=last)
         if setting.name == 'commutation_encoder'
         else setting
         for setting in SETTINGS
@@ -204,9 +213,11 @@ def amplifier_parameters(
     settings: Mapping[str, Mapping[str, object]],
     timing: Timing | None = None,
     where: str = 'amplifier',
+    layout: Layout = SHIPPED,
 ) -> np.ndarray:
     """
-    Return the parameter array (`AMPLIFIER_PARAMETERS`, shape (1,)) for `settings[axis][name]`.
+    Return the parameter array (`amplifier_parameter_dtype`, shape (1,)) of a machine for
+    `settings[axis][name]`.
 
     Axes and settings left out have their defaults; `timing` gives the rate of the current loop.
     Raises `UserError`, beginning with `where` and naming axis and setting, for an unknown name, a
@@ -214,13 +225,13 @@ def amplifier_parameters(
     """
     timing = timing or Timing()
     for axis in settings:
-        if axis not in AXES:
-            raise UserError(f'{where}: unknown axis {axis!r}{did_you_mean(axis, AXES)}')
-    parameters = np.zeros(1, AMPLIFIER_PARAMETERS)
+        if axis not in layout.axes:
+            raise UserError(f'{where}: unknown axis {axis!r}{did_you_mean(axis, layout.axes)}')
+    parameters = np.zeros(1, amplifier_parameter_dtype(len(layout.axes)))
     parameters['tick_s'] = timing.tick_s
-    for index, axis in enumerate(AXES):
+    for index, axis in enumerate(layout.axes):
         place = f'{where}: {axis}'
-        values = check_settings(settings_of(axis), settings.get(axis, {}), place)
+        values = check_settings(settings_of(axis, layout), settings.get(axis, {}), place)
         for name, value in _parameters_of_axis(values, timing, place).items():
             parameters[name][0, index] = value
     return parameters
@@ -229,8 +240,8 @@ def amplifier_parameters(
 def _parameters_of_axis(
     values: Mapping[str, Value], timing: Timing, where: str
 ) -> dict[str, object]:
-    """Return the fields of `AMPLIFIER_PARAMETERS` for one axis."""
-    names = AMPLIFIER_PARAMETERS.names or ()
+    """Return the fields of `amplifier_parameter_dtype` for one axis."""
+    names = amplifier_parameter_dtype(1).names or ()
     result: dict[str, object] = {name: values[name] for name in names if name in values}
 
     peak, bus = values['peak_current'], values['bus_voltage']

@@ -2,6 +2,7 @@
 """Our CDR against rclpy's own serialization."""
 
 import array
+import re
 import struct
 
 import numpy as np
@@ -12,13 +13,15 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 import waferbot_msgs.msg
-from waferbot_lockstep.contract import CONTRACT_TOPICS
+from waferbot_lockstep.contract import CONTRACT_TOPICS, ENCODERS_TOPIC, PHASE_VOLTAGES, PLANT_STATE
 from waferbot_lockstep.definitions import field_types
 from waferbot_lockstep.definitions_file import definitions_text
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.standard_messages import clock_message, joint_state_message, stamp_of
 from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import wire_of as wire_for
 
 TYPES = [getattr(waferbot_msgs.msg, topic.message) for topic in CONTRACT_TOPICS]
 
@@ -139,6 +142,79 @@ def test_big_endian_messages_of_any_frame_are_understood(message_type):
         decoded = wire.decode(b'\0\0\0\0' + body)
         assert decoded == (values[0], 5 * 10**9 + 7, values[1], tuple(values[2:]))
         assert wire.decode(wire.normalised(b'\0\0\0\0' + body)) == decoded
+
+
+def machine_of(axes):
+    """A layout with so many axes, of which every other one has two encoders."""
+    names = tuple(f'axis_{place}' for place in range(axes))
+    encoders = tuple(
+        name
+        for place, axis in enumerate(names)
+        for name in ((f'{axis}_load', f'{axis}_motor') if place % 2 else (axis,))
+    )
+    return Layout(names, encoders)
+
+
+def own_message(topic, layout):
+    """A message of a machine with axes of its own, as the real class, full of distinct values."""
+    message = getattr(waferbot_msgs.msg, topic.type_for(layout).rpartition('/')[2])(
+        tick=8, valid=1
+    )
+    message.header.stamp.nanosec = 444444
+    places = len(topic.places(layout))
+    for index, (name, kind) in enumerate(fields_behind_valid(type(message))):
+        bound = re.search(r', (\d+)>', kind)
+        if bound is not None:
+            count = int(bound[1]) // topic.most_places * places
+        elif '[' in kind:
+            count = len(getattr(message, name))
+        else:
+            setattr(message, name, 1)
+            continue
+        whole = 'double' not in kind
+        values = [index + place + (0 if whole else 0.5) for place in range(count)]
+        setattr(message, name, values)
+    return message
+
+
+@pytest.mark.parametrize('topic', [*CONTRACT_TOPICS, PLANT_STATE], ids=lambda topic: topic.name)
+@pytest.mark.parametrize('axes', range(1, 9))
+def test_bytes_of_machines_with_axes_of_their_own_are_those_of_rclpy(topic, axes):
+    """Whatever padding the lengths of sequences and their values need."""
+    layout = machine_of(axes)
+    wire, message = wire_for(topic, layout), own_message(topic, layout)
+    theirs, values = serialize_message(message), flat_values(message)
+    ours = wire.encode(8, 444444, 1, values)
+    assert deserialize_message(ours, type(message)) == message
+    assert wire.decode(theirs) == wire.decode(ours) == (8, 444444, 1, values)
+    assert wire.is_plain(theirs)
+    assert wire.decode(wire.normalised(theirs)) == wire.decode(ours)
+    record = wire.records([theirs])
+    blank = wire.blank(2)[1:]
+    for name in ('stamp_nanosec', 'tick', 'valid', *wire.value_fields):
+        blank[name] = record[name]
+    assert deserialize_message(blank.tobytes(), type(message)) == message
+    rows = np.frombuffer(ours * 3, np.uint8).reshape(3, wire.size)
+    assert (wire.records_of_rows(rows) == np.repeat(record, 3)).all()
+    framed = message
+    framed.header.frame_id = 'somebody else'
+    assert wire.decode(serialize_message(framed)) == (8, 444444, 1, values)
+
+
+@pytest.mark.parametrize('topic', [ENCODERS_TOPIC, PHASE_VOLTAGES], ids=lambda topic: topic.name)
+def test_a_message_of_a_machine_with_more_or_fewer_axes_is_refused(topic):
+    wire = wire_for(topic, machine_of(4))
+    for axes in (3, 5):
+        other = own_message(topic, machine_of(axes))
+        with pytest.raises(UserError, match='started for the same machine'):
+            wire.decode(serialize_message(other))
+        assert not wire.is_plain(serialize_message(other))
+
+
+def test_the_shipped_machine_has_the_messages_of_old():
+    for topic in (*CONTRACT_TOPICS, PLANT_STATE):
+        assert wire_for(topic, SHIPPED).type_name == f'waferbot_msgs/msg/{topic.message}'
+        assert wire_for(topic, machine_of(3)).type_name == f'waferbot_msgs/msg/Axes{topic.message}'
 
 
 def test_definitions_are_those_that_rosidl_installs():

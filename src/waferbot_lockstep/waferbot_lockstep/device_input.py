@@ -21,6 +21,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.inbox import TopicInput
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 
 LONGEST_LEAD = 1024
@@ -34,9 +35,11 @@ class DeviceInput(TopicInput):
     `missed` and `late` count as the module's docstring says, `ramped` the cycles without the device.
     """
 
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
+    def __init__(
+        self, topic: Topic, timing: Timing, needed: int, layout: Layout = SHIPPED
+    ) -> None:
         """Start at tick 0, needing the places whose bits are set in `needed`, of one device."""
-        super().__init__(topic, timing, needed)
+        super().__init__(topic, timing, needed, layout)
         self.due = 0
         self.complete = False
         self.missed = 0
@@ -51,7 +54,7 @@ class DeviceInput(TopicInput):
     @property
     def missing(self) -> str:
         """The places that are still to come, by name."""
-        return '' if self.complete else self.topic.names_of(self.needed)
+        return '' if self.complete else self.names_of(self.needed)
 
     def push(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
         """Take one message; return whether there are values now for the tick that is due."""

@@ -18,26 +18,32 @@ import numpy as np
 
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import LockstepError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 
 
 class TopicInput:
     """What every input of the contract checks, whichever way time is kept."""
 
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
+    def __init__(
+        self, topic: Topic, timing: Timing, needed: int, layout: Layout = SHIPPED
+    ) -> None:
         self.topic = topic
         self.timing = timing
         self.needed = needed
+        self.layout = layout
+        self.places = topic.places(layout)
+        self.all_places = topic.all_places(layout)
         self.spacing = topic.ticks_between(timing)
         whole = topic.message == 'Encoders'
-        self.values = np.zeros(len(topic.places) * topic.width, np.int64 if whole else np.float64)
+        self.values = np.zeros(len(self.places) * topic.width, np.int64 if whole else np.float64)
         self.mask = 0
         self.heard = 0
 
     def check(self, tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> None:
         """Refuse what no honest peer can send; note from which places something came."""
         self.heard |= valid
-        if valid == 0 or valid & ~self.topic.all_places:
+        if valid == 0 or valid & ~self.all_places:
             raise self.error(tick, f'speaks for axes that do not exist (valid = {valid:#x})')
         if tick % self.spacing:
             raise self.error(tick, f'is no tick of this topic, which has every {self.spacing}th')
@@ -61,20 +67,25 @@ class TopicInput:
 
     def keep(self, relevant: int, values: Sequence[float]) -> None:
         """Put the values and mask bits of the places in `relevant` where they belong."""
-        if relevant == self.topic.all_places:
+        if relevant == self.all_places:
             self.values[:] = values[: self.values.size]
         else:
             width = self.topic.width
-            for place in range(len(self.topic.places)):
+            for place in range(len(self.places)):
                 if relevant >> place & 1:
                     own = slice(place * width, (place + 1) * width)
                     self.values[own] = values[own]
         if self.topic.mask:
             self.mask = self.mask & ~relevant | int(values[-1]) & relevant
 
+    def names_of(self, mask: int) -> str:
+        """Return the places of a mask by name."""
+        return self.topic.names_of(mask, self.layout)
+
     def error(self, tick: int, what: str, mask: int = 0) -> LockstepError:
         """Return the error that names topic, tick and peer."""
-        axes = f' ({self.topic.names_of(mask)})' if self.topic.names_of(mask) else ''
+        names = self.names_of(mask)
+        axes = f' ({names})' if names else ''
         return LockstepError(
             f'topic {self.topic.name}, tick {tick}{axes} from {self.topic.publisher}: {what}'
         )
@@ -91,9 +102,11 @@ class Inbox(TopicInput):
     repetitions included; whoever watches for silence reads and clears it.
     """
 
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
+    def __init__(
+        self, topic: Topic, timing: Timing, needed: int, layout: Layout = SHIPPED
+    ) -> None:
         """Start at tick 0, needing the places whose bits are set in `needed`."""
-        super().__init__(topic, timing, needed)
+        super().__init__(topic, timing, needed, layout)
         self.due = 0
         self._covered = 0
         # (places, values) of the messages of the tick that is due, and of the one before
@@ -108,7 +121,7 @@ class Inbox(TopicInput):
     @property
     def missing(self) -> str:
         """The places that are still to come, by name."""
-        return self.topic.names_of(self.needed & ~self._covered)
+        return self.names_of(self.needed & ~self._covered)
 
     def consumed(self) -> None:
         """Say that the complete values have been used: wait for the next tick of this topic."""

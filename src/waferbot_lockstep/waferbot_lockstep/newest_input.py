@@ -29,6 +29,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import HISTORY_DEPTH, PHASE_CURRENTS, Topic
 from waferbot_lockstep.inbox import TopicInput
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 
 HORIZON = HISTORY_DEPTH
@@ -96,21 +97,23 @@ class NewestInput(TopicInput):
     it.
     """
 
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
+    def __init__(
+        self, topic: Topic, timing: Timing, needed: int, layout: Layout = SHIPPED
+    ) -> None:
         """Start with all values zero and nothing received."""
-        super().__init__(topic, timing, needed)
+        super().__init__(topic, timing, needed, layout)
         self.gives_time = topic.publisher == TIME_GIVER
         self.arrivals = Arrivals()
         self.began_anew = False
-        self._places = [place for place in range(len(topic.places)) if needed >> place & 1]
+        self._places = [place for place in range(len(self.places)) if needed >> place & 1]
         self.forget()
 
     def forget(self) -> None:
         """Wait for a first message again, as time begins anew; the account goes on."""
         self.now = -1
-        self._newest = [-1] * len(self.topic.places)
+        self._newest = [-1] * len(self.places)
         self._gone = 0  # places that are not waited for until they are heard again
-        self._passed = [-1] * len(self.topic.places)  # what was due when they were last waited for
+        self._passed = [-1] * len(self.places)  # what was due when they were last waited for
         self._gaps: dict[int, int] = {}  # tick: places that were passed over there
         self._held_back: list[tuple[int, int, Sequence[float]]] = []
         self._far_back = 0  # messages in a row from far before what is held
@@ -127,7 +130,7 @@ class NewestInput(TopicInput):
     def missing(self) -> str:
         """The places that have not spoken yet, by name."""
         silent = (place for place in self._places if self._newest[place] < 0)
-        return ', '.join(self.topic.places[place] for place in silent)
+        return ', '.join(self.places[place] for place in silent)
 
     @property
     def behind(self) -> int:

@@ -22,6 +22,7 @@ again.
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -44,24 +45,38 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import String
 
 import waferbot_msgs.msg
 from waferbot_lockstep.channel import Channel
-from waferbot_lockstep.contract import HISTORY_DEPTH, STOP_TOPIC, Topic
+from waferbot_lockstep.contract import (
+    HISTORY_DEPTH,
+    MACHINE_AXES_TOPIC,
+    PHASE_CURRENTS,
+    STOP_TOPIC,
+    Topic,
+)
 from waferbot_lockstep.definitions import field_types
 from waferbot_lockstep.errors import LockstepError, UserError
 from waferbot_lockstep.exchange import Exchange
 from waferbot_lockstep.inbox import Inbox
 from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.newest_input import NewestInput
-from waferbot_lockstep.node_settings import LOCKSTEP, NODE_SETTINGS, REALTIME
+from waferbot_lockstep.node_settings import (
+    LOCKSTEP,
+    MACHINE_AXES,
+    MACHINE_ENCODERS,
+    NODE_SETTINGS,
+    REALTIME,
+)
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.ros_security import refusals_told
 from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
 from waferbot_lockstep.transport import choose_transport
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import WireFormat, wire_of
 
 SIGN_OF_LIFE_PERIOD_S = 0.1
 FAREWELL_S = 0.3
@@ -90,23 +105,30 @@ def latched_qos() -> QoSProfile:
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def message_class(topic: Topic) -> Any:
+def message_class(topic: Topic, layout: Layout = SHIPPED) -> Any:
     """
-    Return the generated class of a topic's messages.
+    Return the generated class of a topic's messages for a machine.
 
     Raises `UserError` if its fields are not those that the bytes are packed by.
     """
-    found = getattr(waferbot_msgs.msg, topic.message)
+    type_name = topic.type_for(layout)
+    found = getattr(waferbot_msgs.msg, type_name.rpartition('/')[2])
     generated = {
-        name: kind.replace('double', 'float64')
-        for name, kind in found.get_fields_and_field_types().items()
+        name: _as_defined(kind) for name, kind in found.get_fields_and_field_types().items()
     }
-    if list(generated.items()) != list(field_types(topic.type_name).items()):
+    if list(generated.items()) != list(field_types(type_name).items()):
         raise UserError(
-            f'{topic.type_name} as installed has other fields than waferbot_lockstep knows: after a '
+            f'{type_name} as installed has other fields than waferbot_lockstep knows: after a '
             'change of a message, build, then run `python -m waferbot_lockstep.definitions_file`'
         )
     return found
+
+
+def _as_defined(kind: str) -> str:
+    """Return a type as a definition has it: `float64[<=8]` for rclpy's `sequence<double, 8>`."""
+    kind = kind.replace('double', 'float64')
+    bounded = re.fullmatch(r'sequence<(\w+), (\d+)>', kind)
+    return kind if bounded is None else f'{bounded[1]}[<={bounded[2]}]'
 
 
 class Outlet:
@@ -129,16 +151,15 @@ class LockstepNode(Node):
     """
     A node of the twin.
 
-    `needs` maps each topic that the node waits for to the mask of the places it needs; `gives` lists
-    the topics that it publishes, for all places. `exchange` is that of the process, if it holds several
-    nodes. `outcome` is None while it runs, '' after an ordinary end, otherwise
-    the reason for which it stopped, as one line.
+    `needs` lists the topics that the node waits for, `gives` those that it publishes, for all places of
+    the machine's `layout`. `exchange` is that of the process, if it holds several nodes. `outcome` is
+    None while it runs, '' after an ordinary end, otherwise the reason for which it stopped, as one line.
     """
 
     def __init__(
         self,
         name: str,
-        needs: Mapping[Topic, int],
+        needs: Sequence[Topic],
         gives: Sequence[Topic],
         exchange: Exchange | None = None,
         **node_options: Any,
@@ -159,6 +180,7 @@ class LockstepNode(Node):
         self.timekeeping = self.declare_choice(
             'timekeeping', LOCKSTEP, (LOCKSTEP, REALTIME), 'who waits for whom'
         )
+        self.layout = self.find_layout()
         self.exchange = exchange or self._own_exchange()
         self.inboxes: dict[Topic, Any] = {}
         self._wire: dict[Topic, WireFormat] = {}
@@ -167,9 +189,9 @@ class LockstepNode(Node):
         self._last_messages: dict[Outlet, bytes] = {}
         self._stop: Any = None  # the last word on `stop`
         for topic in gives:
-            self.offer(topic, topic.all_places)
-        for topic, mask in needs.items():
-            self.need(topic, mask)
+            self.offer(topic, topic.all_places(self.layout))
+        for topic in needs:
+            self.need(topic, topic.all_places(self.layout))
         self._stop_publisher = self.create_publisher(
             waferbot_msgs.msg.Stop, STOP_TOPIC, lockstep_qos(8)
         )
@@ -188,6 +210,19 @@ class LockstepNode(Node):
         self._told_s = 0.0
 
     # ---- what a node says of itself -------------------------------------------------------------
+
+    def find_layout(self) -> Layout:
+        """Return the axes and encoders of the machine, from parameters; raises `UserError`."""
+        axes, encoders = (
+            self.declare_fixed(
+                name, list(names), f'{what} of the machine, in order of their places'
+            )
+            for name, names, what in (
+                (MACHINE_AXES, SHIPPED.axes, 'axes'),
+                (MACHINE_ENCODERS, SHIPPED.encoders, 'encoders'),
+            )
+        )
+        return Layout(tuple(axes), tuple(encoders))
 
     def on_input(self, topic: Topic) -> None:
         """Act on new values in `self.inboxes[topic]`; every node says how."""
@@ -222,10 +257,34 @@ class LockstepNode(Node):
         self._refuse_unknown_parameters()
         for topic in self._inlets:
             self._open_inlet(topic)
+        self._compare_machines()
         self._begun_s = self._noticed_s = time.monotonic()
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(SIGN_OF_LIFE_PERIOD_S, self._on_sign_of_life, clock=wall)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._on_diagnostics, clock=wall)
+
+    def _compare_machines(self) -> None:
+        """
+        Have the plant say for which machine it is; who is for another one ends with that.
+
+        Among machines with axes of their own: the shipped one has messages of another type.
+        """
+        if self.layout == SHIPPED:
+            return
+        if PHASE_CURRENTS in self._outlets:
+            publisher = self.create_publisher(String, MACHINE_AXES_TOPIC, latched_qos())
+            publisher.publish(String(data=str(self.layout)))
+        else:
+            self.create_subscription(
+                String, MACHINE_AXES_TOPIC, self._on_machine_axes, latched_qos()
+            )
+
+    def _on_machine_axes(self, told: Any) -> None:
+        if self.outcome is None and told.data != str(self.layout):
+            self.fail(
+                f'the plant is a machine with {told.data}; {self.get_name()} was started for '
+                f'{self.layout}: give it {MACHINE_AXES} and {MACHINE_ENCODERS} of the plant'
+            )
 
     def give(self, topic: Topic, tick: int, valid: int, values: Sequence[float]) -> None:
         """Publish `values` of the places in `valid` as the message of `tick`."""
@@ -301,8 +360,9 @@ class LockstepNode(Node):
 
     def offer(self, topic: Topic, mask: int) -> None:
         """Speak for the places in `mask` of a topic; call it before `begin`."""
-        self._wire[topic] = WireFormat(topic.type_name)
-        publisher = self.create_publisher(message_class(topic), topic.name, lockstep_qos())
+        self._wire[topic] = wire_of(topic, self.layout)
+        message = message_class(topic, self.layout)
+        publisher = self.create_publisher(message, topic.name, lockstep_qos())
         self._outlets[topic] = Outlet(publisher, self.exchange, mask)
 
     def need(self, topic: Topic, mask: int) -> None:
@@ -312,11 +372,11 @@ class LockstepNode(Node):
         else:
             inbox = self.inboxes[topic] = self.lockstep_input(topic, mask)
             push = inbox.push
-        self._inlets[topic] = WireFormat(topic.type_name), push
+        self._inlets[topic] = wire_of(topic, self.layout), push
 
     def lockstep_input(self, topic: Topic, mask: int) -> Any:
         """Return the input of a topic in lock-step."""
-        return Inbox(topic, self.timing, mask)
+        return Inbox(topic, self.timing, mask, self.layout)
 
     def _open_inlet(self, topic: Topic) -> None:
         wire, push = self._inlets[topic]
@@ -349,7 +409,8 @@ class LockstepNode(Node):
             # while it was away would answer ticks long past, and fall further behind meanwhile.
             newest = self.timekeeping == REALTIME and self.inboxes[topic].gives_time
             qos = lockstep_qos(1) if newest else lockstep_qos()
-            self.create_subscription(message_class(topic), topic.name, on_message, qos, raw=True)
+            message = message_class(topic, self.layout)
+            self.create_subscription(message, topic.name, on_message, qos, raw=True)
 
     def _own_exchange(self) -> Exchange:
         """Return the exchange of a node that has a process to itself."""
@@ -372,7 +433,7 @@ class LockstepNode(Node):
 
     def _real_time_input(self, topic: Topic, mask: int) -> Callable[..., bool]:
         """Add the input of a topic in real time; return the function that takes its messages."""
-        inbox = self.inboxes[topic] = NewestInput(topic, self.timing, mask)
+        inbox = self.inboxes[topic] = NewestInput(topic, self.timing, mask, self.layout)
 
         def push(tick: int, stamp_ns: int, valid: int, values: Sequence[float]) -> bool:
             new = inbox.push(tick, stamp_ns, valid, values, time.monotonic())
@@ -423,7 +484,7 @@ class LockstepNode(Node):
     def _watch_peers(self, now_s: float) -> None:
         for topic, inbox in self.inboxes.items():
             heard, inbox.heard = inbox.heard, 0
-            for place in range(len(topic.places)):
+            for place, _ in enumerate(inbox.places):
                 if not inbox.needed >> place & 1:
                     continue
                 key = (topic, place)
@@ -453,7 +514,7 @@ class LockstepNode(Node):
         """Return which places of a topic have been silent for too long, and for how long; or ''."""
         timeout_s = self.get_parameter('peer_timeout_s').value
         silence_s = {
-            topic.places[place]: now_s - heard_s
+            topic.places(self.layout)[place]: now_s - heard_s
             for (heard_topic, place), heard_s in self._last_heard_s.items()
             if heard_topic is topic and now_s - heard_s > timeout_s
         }
@@ -479,7 +540,7 @@ class LockstepNode(Node):
             return
         topic = inbox.topic
         self.fail(
-            f'{topic.publisher} is gone: topic {topic.name} ({topic.places[place]}) is silent for '
+            f'{topic.publisher} is gone: topic {topic.name} ({inbox.places[place]}) is silent for '
             f'{silence_s:.1f} s, tick {inbox.due} never came; look at the end of the log of '
             f'{topic.publisher}'
         )

@@ -8,6 +8,9 @@ from waferbot_lockstep.parameters import Parameter
 LOCKSTEP = 'lockstep'
 REALTIME = 'realtime'
 
+MACHINE_AXES, MACHINE_ENCODERS = 'machine_axes', 'machine_encoders'
+"""Parameters that name the axes and encoders of the machine (`waferbot_lockstep.layout`)."""
+
 NODE_SETTINGS = (
     Parameter('current_loop_hz', 18000, 'Hz', 1, 1_000_000, 'rate of the tick', True, True),
     Parameter(
@@ -38,6 +41,8 @@ NODE_SETTINGS = (
 NODE_PARAMETERS = (
     *(parameter.name for parameter in NODE_SETTINGS),
     'timekeeping',
+    MACHINE_AXES,
+    MACHINE_ENCODERS,
     'channel',
     'from_topics',
     'use_sim_time',

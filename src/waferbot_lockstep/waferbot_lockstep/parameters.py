@@ -78,6 +78,16 @@ def check_settings(
     }
 
 
+def known_name(name: str, known: Iterable[str], where: str) -> str:
+    """Return a name that is among those known; raises `UserError` that begins with `where`."""
+    names = list(known)
+    if name not in names:
+        raise UserError(
+            f'{where}: there is no {name!r}{did_you_mean(name, names)} (there are: {", ".join(names)})'
+        )
+    return name
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """
     Return `; did you mean 'x'?` for the nearest of the `known` names, or nothing.

@@ -435,11 +435,11 @@ def test_guide_with_too_many_points_is_told() -> None:
 def test_load_beyond_the_chart_is_told_and_a_secants_range_is_not_looked_at() -> None:
     description = bearings.on_bearing('ring', ('radial_y',))
     machine, parameters, state = bearings.load(description)
-    rows = np.zeros((2, loads.WIDTH))
+    rows = np.zeros((2, loads.width(3)))
     plant.find_imperfections(state[0], parameters[0])
     for row, at in zip(rows, (0.0, -3e-6), strict=True):
         state[0]['position'][0] = at
-        loads.take(state, parameters, loads.begin(), row)
+        loads.take(state, parameters, loads.begin(3), row)
     watch = validity.Watch(machine)
     watch.note(loads.Loads.of_rows(180 * np.arange(2), rows))
     (found,) = watch.extremes()

@@ -6,12 +6,14 @@ from __future__ import annotations
 import copy
 from pathlib import Path
 
+import numpy as np
 import plant_machines as machines
 import pytest
 import yaml
 
 from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
+from waferbot_plant import plant
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import config_folder, load_machine
 
@@ -194,7 +196,11 @@ def _drop(*keys):
             _set('titles', {'y_linear': 'Lift', 'x_rotate': 'Arm'}),
             ['titles.x_rotate', "no axis 'x_rotate'"],
         ),
-        (_set('titles', {'lift': 'Lift'}), ['titles.lift', 'names here are y_linear']),
+        (_set('titles', {'lift': 'Lift'}), ['titles.lift', "no axis 'lift'"]),
+        (_set('motors', 'lift', {}), ['motors.lift']),
+        (_set('axes', {'lift': 'first'}), ['encoders', 'y_linear is on no axis']),
+        (_set('axes', {'lift_motor': 'first'}), ['axes', 'lift_motor cannot be a name']),
+        (_set('axes', {f'axis_{n}': 'first' for n in range(9)}), ['axes', '9 axes', '1 to 8']),
         (_set('titles', {'y_linear': ''}), ['titles.y_linear', 'must not be empty']),
         (_set('titles', {'y_linear': ' '}), ['titles.y_linear', 'must not be empty']),
         (_set('titles', {'y_linear': 3}), ['titles.y_linear', 'of type string']),
@@ -338,3 +344,54 @@ def test_a_connection_has_so_many_times_its_damping(said, kind, value) -> None:
     assert damping_of(damping_factor=5.0) == pytest.approx(5.0 * value)
     with pytest.raises(UserError, match='damping_factor'):
         damping_of(damping_factor=0.0)
+
+
+def test_axes_of_its_own_names_have_their_places_and_titles() -> None:
+    machine = load_machine('puma_560')
+    description, axes = machine.description, machine.layout.axes
+    assert axes == ('waist', 'shoulder', 'elbow', 'wrist_roll', 'wrist_bend', 'flange')
+    assert machine.layout.encoders == axes
+    assert description.axis_units == dict.fromkeys(axes, 'rad')
+    assert description.titles['wrist_roll'] == 'Wrist roll'
+    p = machine.parameters()[0]
+    assert p['winding'].shape == (6,)
+    ratios = [machine.assembly.placing[description.axes[axis]][1] for axis in axes]
+    per_joint = p['counts_per_unit'] / np.array(ratios)
+    gears = np.array([62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686])
+    assert per_joint == pytest.approx(gears * 131072 / (2.0 * np.pi), rel=1e-12)
+
+
+MOTOR_OF_TABLE = {
+    'coordinate': 'motor_angle',
+    'winding': 'wye',
+    'resistance_lead_to_lead_ohm': 3.0,
+    'inductance_lead_to_lead_h': 0.01,
+    'back_emf_lead_to_lead_v_s_rad': 2.0,
+    'pole_pairs': 8,
+}
+
+
+def test_an_axis_of_any_name_may_have_two_encoders() -> None:
+    machine = load_machine(
+        'two_mass_drive',
+        overlays=[
+            {
+                'axes': {'x_rotate': None, 'table': 'load_angle'},
+                'motors': {'x_rotate': None, 'table': MOTOR_OF_TABLE},
+                'encoders': {
+                    'x_rotate': None,
+                    'table_motor': {'coordinate': 'motor_angle', 'counts_per_revolution': 4000},
+                    'table_load': {'coordinate': 'load_angle', 'counts_per_revolution': 65536},
+                },
+            }
+        ],
+    )
+    assert machine.layout.encoders == ('table_load', 'table_motor')
+    assert machine.description.position_encoder('table') == 'table_load'
+    state, parameters = (
+        machine.initial_state(machine.parameters(), {'table': 0.5}),
+        machine.parameters(),
+    )
+    counts, currents = np.zeros(2, np.int64), np.zeros(2)
+    plant.measure(state, parameters, 0, counts, currents)
+    assert counts.tolist() == [int(0.5 / (2.0 * np.pi) * own) for own in (65536, 4000)]

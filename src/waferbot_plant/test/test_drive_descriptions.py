@@ -73,7 +73,7 @@ SENSORS = ('current_sensors', 'y_linear')
         ((*SENSORS, 'gain_1'), -1.0, ['greater than -1']),
         ((*SENSORS, 'offset_a'), 1.0, ['unknown key', "did you mean 'offset_"]),
         (('current_sensors', 'x_rotate'), {}, ["no motor 'x_rotate'"]),
-        (('current_sensors', 'z_rotate'), {}, ['z_rotate', 'y_linear']),
+        (('current_sensors', 'z_rotate'), {}, ['current_sensors.z_rotate', "no axis 'z_rotate'"]),
     ],
 )
 def test_mistakes_are_explained(where, value, words) -> None:

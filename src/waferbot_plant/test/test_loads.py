@@ -16,7 +16,7 @@ def machine():
 
 
 def noted(machine, state, parameters):
-    borne, row = loads.begin(), np.zeros(loads.WIDTH)
+    borne, row = loads.begin(3), np.zeros(loads.width(3))
     loads.take(state, parameters, borne, row)
     return loads.Loads.of_rows(np.array([0]), row[np.newaxis])
 
@@ -61,7 +61,7 @@ def test_extremes_are_kept_until_they_are_taken(machine) -> None:
     state = machine.initial_state(parameters)
     row = machine.coordinates.index('x_rotate_bearing_z')
     place = [element.name for element in machine.assembly.springs].index('x_rotate_bearing_z')
-    borne, told = loads.begin(), np.zeros((2, loads.WIDTH))
+    borne, told = loads.begin(3), np.zeros((2, loads.width(3)))
     stiffness = machine.assembly.springs[place].stiffness
     for moment in (0.0, 7.0, -4.0, 1.0):
         state[0]['position'][row] = moment / stiffness
@@ -75,7 +75,7 @@ def test_extremes_are_kept_until_they_are_taken(machine) -> None:
 
 
 def test_rows_that_nobody_wrote_are_left_out() -> None:
-    rows = np.full((3, loads.WIDTH), np.nan)
+    rows = np.full((3, loads.width(3)), np.nan)
     rows[1] = 2.0
     found = loads.Loads.of_rows(np.array([0, 180, 360]), rows)
     assert found.tick.tolist() == [180]
@@ -85,7 +85,7 @@ def test_rows_that_nobody_wrote_are_left_out() -> None:
 def test_looking_changes_nothing(machine) -> None:
     parameters = machine.parameters()
     one, other = machine.resting_state(parameters), machine.resting_state(parameters)
-    borne, row = loads.begin(), np.zeros(loads.WIDTH)
+    borne, row = loads.begin(3), np.zeros(loads.width(3))
     voltage = np.linspace(-20.0, 20.0, 9)
     for tick in range(400):
         plant.advance(one, parameters, voltage)

@@ -23,8 +23,8 @@ def machine():
 def rest(machine, ticks: int = 3) -> np.ndarray:
     """Return rows of a machine at home, at 0, 180, ..."""
     parameters = machine.parameters()
-    state, row = machine.initial_state(parameters), np.zeros(loads.WIDTH)
-    loads.take(state, parameters, loads.begin(), row)
+    state, row = machine.initial_state(parameters), np.zeros(loads.width(3))
+    loads.take(state, parameters, loads.begin(3), row)
     return np.tile(row, (ticks, 1))
 
 

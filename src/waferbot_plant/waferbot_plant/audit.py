@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_plant import plant
 from waferbot_plant.plant import Machine
 
@@ -44,7 +43,7 @@ def books(machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void
     plant.energy(state, parameters, stored)
     assembly = machine.assembly
     lost = {}
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(machine.layout.axes):
         if axis in machine.description.motors:
             lost[f'{axis} copper'] = float(s['copper_loss'][place])
     for place, element in enumerate(assembly.springs):
@@ -56,7 +55,7 @@ def books(machine: Machine, state: NDArray[np.void], parameters: NDArray[np.void
         lost[f'{name} dry friction'] = float(s['friction_loss'][place])
     supplied = {
         axis: float(s['electrical_energy'][place])
-        for place, axis in enumerate(AXES)
+        for place, axis in enumerate(machine.layout.axes)
         if axis in machine.description.motors
     }
     for place, (name, force) in enumerate(machine.description.disturbances.items()):

@@ -24,7 +24,7 @@ from typing import Any
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.noise import normal
 from waferbot_plant.description import CurrentSensors
-from waferbot_plant.motors import MOTORS, measure_line_currents
+from waferbot_plant.motors import measure_line_currents
 
 LINES = 2
 """Lines of a motor that have a sensor."""
@@ -32,16 +32,20 @@ LINES = 2
 NOISE_CHANNEL = 2000
 """Channel of the noise of line 1 of the first motor; the others follow, line by line."""
 
-PARAMETER_FIELDS: list[tuple] = [
-    ('current_imperfect', 'i8', (MOTORS,)),
-    ('current_gain_error', 'f8', (MOTORS, LINES)),
-    ('current_offset', 'f8', (MOTORS, LINES)),
-    ('current_noise', 'f8', (MOTORS,)),
-    ('current_noise_seed', 'i8', (MOTORS,)),
-]
-"""
-Whether the sensors of a motor have errors at all; relative gain errors; offsets and rms noise in A.
-"""
+
+def parameter_fields(motors: int) -> list[tuple]:
+    """
+    Return the parameters of the current sensors of so many motors.
+
+    Whether the sensors of a motor have errors at all; relative gain errors; offsets and rms noise in A.
+    """
+    return [
+        ('current_imperfect', 'i8', (motors,)),
+        ('current_gain_error', 'f8', (motors, LINES)),
+        ('current_offset', 'f8', (motors, LINES)),
+        ('current_noise', 'f8', (motors,)),
+        ('current_noise_seed', 'i8', (motors,)),
+    ]
 
 
 def sensor_data(sensors: CurrentSensors) -> dict[str, Any]:
@@ -57,9 +61,9 @@ def sensor_data(sensors: CurrentSensors) -> dict[str, Any]:
 
 @compiled
 def measure_currents(s, p, tick, line_currents):
-    """Fill `line_currents` (6,) with lines 1 and 2 of each motor as measured at `tick`, A."""
+    """Fill `line_currents` (2 axes,) with lines 1 and 2 of each motor as measured at `tick`, A."""
     measure_line_currents(s, p, line_currents)
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         if not p['current_imperfect'][motor]:
             continue
         noise = p['current_noise'][motor]

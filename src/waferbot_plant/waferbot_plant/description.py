@@ -31,12 +31,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, USUAL_TITLES, USUAL_UNITS
+from waferbot_lockstep.contract import USUAL_TITLES, USUAL_UNITS
+from waferbot_lockstep.layout import Layout, layout_of
 from waferbot_plant.bearing_loads import BearingLoad
 from waferbot_plant.imperfections import Disturbance, TransmissionError, Vibration
 from waferbot_plant.spring_curves import SpringCurve
@@ -442,6 +444,11 @@ class Description:
     payload: Payload | None = None
     titles: Mapping[str, str] = field(default_factory=lambda: USUAL_TITLES)
 
+    @cached_property
+    def layout(self) -> Layout:
+        """The axes and encoders, in the order of their places; see `layout_of`."""
+        return layout_of(tuple(self.axes), tuple(self.encoders))
+
     @property
     def locked(self) -> frozenset[str]:
         """The coordinates that are held still from outside."""
@@ -467,15 +474,15 @@ class Description:
 
     def position_encoder(self, axis: str) -> str:
         """
-        Return the encoder that positions an axis: of its places in the contract the first that there is.
+        Return the encoder that positions an axis: of its places the first that there is.
 
         That behind the transmission comes before that on the motor. The first place where there is none.
         """
-        places = [name for name in ENCODERS if AXIS_OF[name] == axis]
+        places = self.layout.encoders_of(axis)
         return next((name for name in places if name in self.encoders), places[0])
 
     @property
     def axis_units(self) -> dict[str, str]:
         """Unit of each axis' position, `m` or `rad`; the usual one of an axis that the machine lacks."""
         own = {axis: 'rad' if self.turns(axis) else 'm' for axis in self.axes}
-        return {axis: own.get(axis, USUAL_UNITS[axis]) for axis in AXES}
+        return {axis: own.get(axis) or USUAL_UNITS[axis] for axis in self.layout.axes}

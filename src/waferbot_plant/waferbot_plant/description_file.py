@@ -15,6 +15,7 @@ import jsonschema
 import yaml
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout, layout_of
 from waferbot_lockstep.marked_yaml import (
     SAFE_DUMPER,
     Document,
@@ -47,6 +48,20 @@ _BY_ENTRY = frozenset(
 def whole_text(source: Path | str) -> str:
     """Return a description, given as for `load_description`, as the text of one YAML file."""
     return _dumped(pickle.dumps(_read_whole(source).data))
+
+
+def described_layout(source: Path | str) -> Layout:
+    """
+    Return the axes and encoders of a description, given as for `load_description`.
+
+    Nothing else of it is checked. Raises `UserError`.
+    """
+    data = _read_whole(source).data
+    axes, encoders = data.get('axes'), data.get('encoders')
+    return layout_of(
+        tuple(axes) if isinstance(axes, dict) else (),
+        tuple(encoders) if isinstance(encoders, dict) else (),
+    )
 
 
 @lru_cache(maxsize=8)

@@ -12,6 +12,7 @@ import numpy as np
 
 from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout, layout_of
 from waferbot_lockstep.marked_yaml import Document, Key
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import friction_tables, imperfections, part_library
@@ -94,6 +95,7 @@ class Reader:
             name: self.connection(name, transmissions) for name in self.section('connections')
         }
         axes = {axis: self.axis(axis) for axis in self.section('axes')}
+        layout = self.layout()
         frictions, dampers = self.resistances()
         return Description(
             name=self.data['name'],
@@ -123,7 +125,7 @@ class Reader:
             parts=self.parts,
             revolute=self.revolute,
             provenance=provenance,
-            titles={**USUAL_TITLES, **{axis: self.title(axis) for axis in self.section('titles')}},
+            titles=self.titles(layout),
         )
 
     def axis(self, axis: str) -> str:
@@ -134,6 +136,26 @@ class Reader:
                 ('axes', axis), f'{coordinate} is locked; an axis is a coordinate that moves'
             )
         return coordinate
+
+    def layout(self) -> Layout:
+        """Return the places of axes and encoders; each motor, sensor and controller is of an axis."""
+        axes, encoders = tuple(self.section('axes')), tuple(self.section('encoders'))
+        try:
+            layout = layout_of(axes, encoders)
+        except UserError as error:
+            what = str(error).partition(':')[0]
+            key: Key = (what,) if what in self.data else ('axes',) if 'axes' in self.data else ()
+            raise self.document.error(key, str(error)) from error
+        for section in ('motors', 'current_sensors', 'controllers'):
+            for axis in self.section(section):
+                if axis not in layout.axes:
+                    self.reference((section, axis), axis, self.section('axes'), 'axis')
+        return layout
+
+    def titles(self, layout: Layout) -> dict[str, str]:
+        """Return what every axis is called: as the file says, as usual, or by its name."""
+        usual = {axis: USUAL_TITLES[axis] for axis in layout.axes}
+        return usual | {axis: self.title(axis) for axis in self.section('titles')}
 
     def title(self, axis: str) -> str:
         """Return what an axis is called, in one line: it stands in lines of tables and in comments."""

@@ -48,9 +48,6 @@ from waferbot_lockstep.timing import Timing
 from waferbot_plant.description import LONGEST_DELAY, LONGEST_DELAY_S, Encoder
 from waferbot_plant.multibody import sine_and_cosine
 
-ENCODERS = 4
-"""Places for encoders in the contract."""
-
 READINGS = 2 + LONGEST_DELAY + round(LONGEST_DELAY_S * Timing().current_loop_hz)
 """Readings in the plant's history: the longest delay, where a phase cycle is one tick."""
 
@@ -60,42 +57,50 @@ NOISE_CHANNEL = 1000
 SUBSTITUTIONS, AT_FIRST = 4, 40
 """How often a position is corrected by what is missing; the first row begins with nothing."""
 
-PARAMETER_FIELDS: list[tuple] = [
-    ('encoder_coordinate', 'i8', (ENCODERS,)),
-    ('counts_per_unit', 'f8', (ENCODERS,)),
-    ('encoder_divider', 'i8'),
-    ('encoder_delay', 'i8', (ENCODERS,)),
-    ('encoder_imperfect', 'i8', (ENCODERS,)),
-    ('scale_error', 'f8', (ENCODERS,)),
-    ('eccentricity', 'f8', (ENCODERS,)),
-    ('eccentricity_per_count', 'f8', (ENCODERS,)),
-    ('eccentricity_phase', 'f8', (ENCODERS,)),
-    ('interpolation', 'f8', (ENCODERS,)),
-    ('interpolation_per_count', 'f8', (ENCODERS,)),
-    ('interpolation_phase', 'f8', (ENCODERS,)),
-    ('coarseness', 'f8', (ENCODERS,)),
-    ('delay_fraction', 'f8', (ENCODERS,)),
-    ('encoder_noise', 'f8', (ENCODERS,)),
-    ('encoder_noise_seed', 'i8', (ENCODERS,)),
-    ('loss_at_mark', 'f8', (ENCODERS,)),
-    ('mark_spacing', 'f8', (ENCODERS,)),
-]
-"""
-`counts_per_unit` is counts per m or rad of the minimal coordinate; zero where there is none.
-`encoder_imperfect` tells whether what follows it is looked at at all. Amplitudes, noise, loss and
-spacing of the marks in counts; `..._per_count` rad per count; `mark_spacing` zero: nothing is lost.
-"""
 
-STATE_FIELDS: list[tuple] = [
-    ('readings', 'i8', (READINGS, ENCODERS)),
-    ('position_before', 'f8', (ENCODERS,)),
-    ('lost', 'f8', (ENCODERS,)),
-    ('between_marks', 'i8', (ENCODERS,)),
-]
-"""
-The last readings, in counts, the newest at place (tick / divider) mod `READINGS`; of imperfect
-encoders the position at the last reading and the counts lost so far, and between which marks it was.
-"""
+def parameter_fields(encoders: int) -> list[tuple]:
+    """
+    Return the parameters of so many encoders.
+
+    `counts_per_unit` is counts per m or rad of the minimal coordinate; zero where there is none.
+    `encoder_imperfect` tells whether what follows it is looked at at all. Amplitudes, noise, loss and
+    spacing of the marks in counts; `..._per_count` rad per count; `mark_spacing` zero: nothing is lost.
+    """
+    return [
+        ('encoder_coordinate', 'i8', (encoders,)),
+        ('counts_per_unit', 'f8', (encoders,)),
+        ('encoder_divider', 'i8'),
+        ('encoder_delay', 'i8', (encoders,)),
+        ('encoder_imperfect', 'i8', (encoders,)),
+        ('scale_error', 'f8', (encoders,)),
+        ('eccentricity', 'f8', (encoders,)),
+        ('eccentricity_per_count', 'f8', (encoders,)),
+        ('eccentricity_phase', 'f8', (encoders,)),
+        ('interpolation', 'f8', (encoders,)),
+        ('interpolation_per_count', 'f8', (encoders,)),
+        ('interpolation_phase', 'f8', (encoders,)),
+        ('coarseness', 'f8', (encoders,)),
+        ('delay_fraction', 'f8', (encoders,)),
+        ('encoder_noise', 'f8', (encoders,)),
+        ('encoder_noise_seed', 'i8', (encoders,)),
+        ('loss_at_mark', 'f8', (encoders,)),
+        ('mark_spacing', 'f8', (encoders,)),
+    ]
+
+
+def state_fields(encoders: int) -> list[tuple]:
+    """
+    Return the state of so many encoders.
+
+    The last readings, in counts, the newest at place (tick / divider) mod `READINGS`; of imperfect
+    encoders the position at the last reading and the counts lost so far, and between which marks it was.
+    """
+    return [
+        ('readings', 'i8', (READINGS, encoders)),
+        ('position_before', 'f8', (encoders,)),
+        ('lost', 'f8', (encoders,)),
+        ('between_marks', 'i8', (encoders,)),
+    ]
 
 
 def encoder_data(
@@ -178,7 +183,8 @@ def seen_counts(s, p, encoder):
 @compiled
 def find_positions(state, parameters, counts, position):
     """
-    Fill `position` (rows, z): where encoders must be for each row of `counts` (rows, 4) to be seen.
+    Fill `position` (rows, z): where encoders must be for each row of `counts` (rows, encoders) to be
+    seen.
 
     That of the coordinates with an encoder, in their units; at rest, if `delay_fraction` is zero. By
     repeated substitution, begun with the error of the row before: it converges as errors of
@@ -224,7 +230,7 @@ def _between_marks(p, encoder, counts):
 @compiled
 def fill_readings(s, p):
     """Fill the history as if the machine had always stood where it is; no count lost so far."""
-    for encoder in range(ENCODERS):
+    for encoder in range(len(p['encoder_delay'])):
         count = read_encoder(p, s['position'], encoder)
         for place in range(READINGS):
             s['readings'][place, encoder] = count
@@ -244,7 +250,7 @@ def fill_readings(s, p):
 def measure_counts(s, p, tick, counts):
     """
     Read the encoders if `tick` is an encoder tick, and publish the delayed counts into `counts`
-    (4,).
+    (encoders,).
 
     Between encoder ticks `counts` is left as it is.
     """
@@ -252,7 +258,7 @@ def measure_counts(s, p, tick, counts):
         return
     reading = tick // p['encoder_divider']
     newest = reading % READINGS
-    for encoder in range(ENCODERS):
+    for encoder in range(len(p['encoder_delay'])):
         if p['encoder_imperfect'][encoder]:
             s['readings'][newest, encoder] = read_imperfect_encoder(s, p, encoder, reading)
         else:

@@ -25,28 +25,43 @@ from typing import Any
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.marked_yaml import read
 from waferbot_lockstep.timing import Timing
-from waferbot_plant.signals import COUNTS, LINES, OPEN, VOLTAGES, Variable, positions, speeds
+from waferbot_plant.signals import (
+    Variable,
+    counts,
+    lines,
+    per_axis,
+    terminals,
+    voltages,
+)
 
-SHOWN = (*COUNTS, *LINES, *positions(), *speeds())
-"""What `ForeignPlant.values` returns, in this order."""
 
-NEEDED = (*VOLTAGES, *COUNTS, *LINES)
+def shown(layout: Layout) -> tuple[Variable, ...]:
+    """Return what `ForeignPlant.values` returns, in this order; units of motions are the machine's."""
+    motion = (*per_axis('position', '', '', layout), *per_axis('velocity', '', '', layout))
+    return (*counts(layout), *lines(layout), *motion)
+
+
+def needed(layout: Layout) -> tuple[Variable, ...]:
+    """Return what an FMU must have, or be given by a mapping."""
+    return (*voltages(layout), *counts(layout), *lines(layout))
+
 
 Names = Mapping[str, str | float | None]
 """Our name to that of the FMU, to a value (outputs), or to None (inputs)."""
 
 
-def read_mapping(file: Path | None) -> Names:
+def read_mapping(file: Path | None, layout: Layout = SHIPPED) -> Names:
     """Return a mapping from its YAML file, an empty one without a file; raises `UserError`."""
     if file is None:
         return {}
     found = read(file).data
     if not isinstance(found, dict):
         raise UserError(f'--plant-map {file}: it must map our names to those of the FMU')
-    known = {variable.name for variable in (*VOLTAGES, *OPEN, *SHOWN)}
-    inputs = {variable.name for variable in (*VOLTAGES, *OPEN)}
+    inputs = {variable.name for variable in (*voltages(layout), *terminals(layout))}
+    known = inputs | {variable.name for variable in shown(layout)}
     for name, theirs in found.items():
         if name not in known:
             raise UserError(
@@ -90,9 +105,12 @@ def _described(file: Path) -> Any:
 class ForeignPlant:
     """An FMU that was instantiated; `values` reads outputs, `step` goes on."""
 
-    def __init__(self, file: Path, mapping: Names, timing: Timing) -> None:
+    def __init__(
+        self, file: Path, mapping: Names, timing: Timing, layout: Layout = SHIPPED
+    ) -> None:
         """Instantiate and initialise; raises `UserError` for what is wrong with the FMU."""
-        self.file, self._timing = file, timing
+        self.file, self._timing, self._layout = file, timing, layout
+        self._variables = shown(layout)
         self._folder = ''
         self._description = _described(file)
         try:
@@ -113,11 +131,13 @@ class ForeignPlant:
         roles = {variable.name: variable.causality for variable in description.modelVariables}
         types = {variable.name: variable.type for variable in description.modelVariables}
         missing = []
-        for variable in (*NEEDED, *(one for one in (*OPEN, *SHOWN) if one.name in mapping)):
+        inputs = (*voltages(self._layout), *terminals(self._layout))
+        mapped = [one for one in (*inputs, *self._variables) if one.name in mapping]
+        for variable in (*needed(self._layout), *mapped):
             name = mapping.get(variable.name, variable.name)
             if not isinstance(name, str):
                 continue
-            role = 'input' if variable in (*VOLTAGES, *OPEN) else 'output'
+            role = 'input' if variable in inputs else 'output'
             if roles.get(name) != role:
                 missing.append(f'{role} {name!r}')
             elif types[name] not in ('Real', 'Float64'):
@@ -138,12 +158,12 @@ class ForeignPlant:
             ]
             return np.array([place for place, _ in found], int), [value for _, value in found]
 
-        self._taken, self._inputs = placed((*VOLTAGES, *OPEN))
-        self._present, self._outputs = placed(SHOWN)
+        self._taken, self._inputs = placed(inputs)
+        self._present, self._outputs = placed(self._variables)
         self._shown = np.array(
             [
                 0.0 if value is None or isinstance(value, str) else float(value)
-                for value in (mapping.get(variable.name) for variable in SHOWN)
+                for value in (mapping.get(variable.name) for variable in self._variables)
             ]
         )
         self._three = str(description.fmiVersion).startswith('3')
@@ -170,19 +190,27 @@ class ForeignPlant:
         return fmu
 
     def values(self) -> np.ndarray:
-        """Return counts (4), line currents (6), positions (3) and speeds (3)."""
+        """Return counts, two line currents an axis, positions and speeds; see `parts`."""
         if self._outputs:
             read_values = self._fmu.getFloat64 if self._three else self._fmu.getReal
             self._shown[self._present] = read_values(self._outputs)
         if not np.isfinite(self._shown).all():
             place = int(np.flatnonzero(~np.isfinite(self._shown))[0])
-            raise UserError(f'--plant {self.file}: its {SHOWN[place].name} is not finite')
+            raise UserError(
+                f'--plant {self.file}: its {self._variables[place].name} is not finite'
+            )
         return self._shown
 
+    def parts(self, values: np.ndarray) -> list[np.ndarray]:
+        """Return `values` as counts, line currents, positions and speeds."""
+        axes, encoders = len(self._layout.axes), len(self._layout.encoders)
+        return np.split(values, (encoders, encoders + 2 * axes, encoders + 3 * axes))
+
     def step(self, tick: int, voltage: np.ndarray, mask: int) -> None:
-        """Advance by a tick with voltages (9,) and the mask of open bridges; raises `UserError`."""
+        """Advance by a tick with voltages (3 axes,) and the mask of open bridges; raises `UserError`."""
         time_s = self._timing.seconds(tick)
-        values = np.concatenate([voltage, [float(mask >> axis & 1) for axis in range(3)]])
+        opened = [float(mask >> axis & 1) for axis in range(len(self._layout.axes))]
+        values = np.concatenate([voltage, opened])
         try:
             if self._inputs:
                 write = self._fmu.setFloat64 if self._three else self._fmu.setReal
@@ -218,9 +246,11 @@ class ForeignPlant:
 
 
 @contextlib.contextmanager
-def foreign_plant(file: Path, mapping: Names, timing: Timing) -> Iterator[ForeignPlant]:
+def foreign_plant(
+    file: Path, mapping: Names, timing: Timing, layout: Layout = SHIPPED
+) -> Iterator[ForeignPlant]:
     """Give an FMU that is closed in the end; raises `UserError`."""
-    plant = ForeignPlant(file, mapping, timing)
+    plant = ForeignPlant(file, mapping, timing, layout)
     try:
         yield plant
     finally:

@@ -61,7 +61,7 @@ import math
 from waferbot_lockstep.compiled import compiled
 from waferbot_plant.bearing_loads import bearing_load
 from waferbot_plant.elements import MOST_LOADS, resistance_at
-from waferbot_plant.motors import MOTORS, NONE, force_and_damping
+from waferbot_plant.motors import NONE, force_and_damping
 
 
 def parameter_fields(frictions: int) -> list[tuple]:
@@ -156,7 +156,7 @@ def _motor_force(s, p, friction, mean):
     coordinate = p['friction_coordinate'][friction]
     total = 0.0
     outside = 0.0
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         if p['winding'][motor] != NONE and p['motor_coordinate'][motor] == coordinate:
             if s['terminals_open'][motor]:
                 outside = s['external_force'][coordinate]

@@ -55,7 +55,7 @@ from waferbot_plant.friction_laws import (
     book_presliding,
     limit_lawful_friction,
 )
-from waferbot_plant.motors import MOTORS, NONE, begin_step, finish_step, force_and_damping
+from waferbot_plant.motors import NONE, begin_step, finish_step, force_and_damping
 from waferbot_plant.multibody import factorise, mass_matrix_and_bias, solve
 from waferbot_plant.spring_laws import (
     ROUNDS,
@@ -109,7 +109,7 @@ def advance_step(s, p, voltage, step):
     for row in range(size):
         right[row] = step * (s['external_force'][row] - s['bias'][row])
     begin_step(s, p, middle, voltage, step)
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         if p['winding'][motor] != NONE:
             row = p['motor_coordinate'][motor]
             ratio = p['motor_ratio'][motor]

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import disturbances, friction_laws, motors, plant
@@ -113,7 +112,7 @@ class InverseDynamics:
     def current_of(self, axis: str, force: Floats, position: Floats) -> Floats:
         """Return the current command (n,), A, that makes forces (n,) at positions (n,) of an axis."""
         motor = self.machine.description.motors[axis]
-        place = AXES.index(axis)
+        place = self.machine.layout.place(axis)
         if not self._parameters[0]['motor_imperfect'][place]:
             return np.asarray(force / motors.force_constant(motor))
         row, ratio = self.machine.assembly.placing[motor.coordinate]

@@ -2,14 +2,14 @@
 """
 What the elastic parts bear: forces of springs, tensions of cables, temperatures of windings.
 
-    loads = begin()
+    loads = begin(motors)
     note(state, parameters, loads)        # at every servo interrupt
     take(state, parameters, loads, row)   # at a message: writes it, begins anew
 
-`loads` and `row` are float64 (WIDTH,) in the order of the message `PlantState`: least and greatest of
-each spring since the last message (N, Nm), least and greatest of each cable (N), temperatures (degC),
-and the payload frame as it is then (`payload`).
-None of it goes back into the plant.
+`loads` and `row` are float64 (width(motors),) in the order of the message `PlantState`: least and
+greatest of each spring since the last message (N, Nm), least and greatest of each cable (N),
+temperatures (degC), and the payload frame as it is then (`payload`). None of it goes back into the
+plant.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from waferbot_lockstep.compiled import compiled
 from waferbot_plant import payload
 from waferbot_plant.elements import cable_elongation
-from waferbot_plant.motors import MOTORS
 from waferbot_plant.spring_laws import force_and_arms_now
 
 SPRINGS = 24
@@ -33,20 +32,16 @@ _SPRING_MOST = SPRINGS
 _CABLE_LEAST = 2 * SPRINGS
 _CABLE_MOST = _CABLE_LEAST + CABLES
 _TEMPERATURE = _CABLE_MOST + CABLES
-_PAYLOAD = _TEMPERATURE + MOTORS
-WIDTH = _PAYLOAD + payload.WIDTH
-"""Values of the message."""
-
-_EDGES = (
-    *(_SPRING_MOST, _CABLE_LEAST, _CABLE_MOST, _TEMPERATURE, _PAYLOAD),
-    *(_PAYLOAD + place for place in (3, 7, 10, 13, 16, 19)),
-)
-"""Where the fields of the message end, but for the last."""
 
 
-def begin() -> NDArray[np.float64]:
+def width(motors: int) -> int:
+    """Return the number of values of the message, of a machine with places for so many motors."""
+    return _TEMPERATURE + motors + payload.WIDTH
+
+
+def begin(motors: int) -> NDArray[np.float64]:
     """Return loads of which nothing has been noted yet."""
-    loads = np.zeros(WIDTH)
+    loads = np.zeros(width(motors))
     _forget(loads)
     return loads
 
@@ -87,9 +82,10 @@ def take(state, parameters, loads, row):
     for start in (_CABLE_LEAST, _CABLE_MOST):
         for cable in range(cables):
             row[start + cable] = loads[start + cable]
-    for motor in range(MOTORS):
+    motors = len(p['winding'])
+    for motor in range(motors):
         row[_TEMPERATURE + motor] = state[0]['winding_temperature'][motor]
-    payload.payload_frame(state[0], p, row[_PAYLOAD:])
+    payload.payload_frame(state[0], p, row[_TEMPERATURE + motors :])
     _forget(loads)
 
 
@@ -116,15 +112,20 @@ def _forget(loads):
 
 
 def fields(rows: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return rows (n, WIDTH) as the fields of the message, (n, ...) each."""
-    return np.split(rows, _EDGES, axis=1)
+    """Return rows (n, width) as the fields of the message, (n, ...) each."""
+    frame = rows.shape[1] - payload.WIDTH
+    edges = (
+        *(_SPRING_MOST, _CABLE_LEAST, _CABLE_MOST, _TEMPERATURE, frame),
+        *(frame + place for place in (3, 7, 10, 13, 16, 19)),
+    )
+    return np.split(rows, edges, axis=1)
 
 
 @dataclass(frozen=True)
 class Loads:
     """
     Loads at ticks (n,): of springs (n, SPRINGS) in N or Nm, of cables (n, CABLES) in N, least and
-    greatest since the tick before; temperatures of the windings (n, 3) in degC.
+    greatest since the tick before; temperatures of the windings (n, motors) in degC.
     """
 
     tick: NDArray[np.int64]
@@ -136,6 +137,6 @@ class Loads:
 
     @classmethod
     def of_rows(cls, tick: NDArray[np.int64], rows: NDArray[np.float64]) -> Loads:
-        """Return the loads in rows (n, WIDTH) that `take` wrote, without those that nobody wrote."""
+        """Return the loads in rows (n, width) that `take` wrote, without those that nobody wrote."""
         written = np.isfinite(rows).all(axis=1)
         return cls(np.asarray(tick)[written], *fields(rows[written])[:5])

@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import loads, plant
 from waferbot_plant.foreign_plant import ForeignPlant, read_mapping
@@ -23,13 +23,13 @@ class Mechanism(Protocol):
     """Mechanism, motors and encoders, tick by tick."""
 
     def measure(self, tick: int, counts: np.ndarray, line_currents: np.ndarray) -> None:
-        """Fill in the counts (4,) and measured line currents (6,), A, of a tick."""
+        """Fill in the counts (encoders,) and measured line currents (2 axes,), A, of a tick."""
 
     def advance(self, tick: int, voltages: Any, mask: int) -> None:
-        """Go on to the next tick with terminal voltages (9,), V; bits of `mask`: open bridges."""
+        """Go on to the next tick with terminal voltages (3 axes,), V; bits of `mask`: open bridges."""
 
     def joints(self, position: np.ndarray, velocity: np.ndarray) -> None:
-        """Fill in positions and speeds (3,) of the axes, m or rad."""
+        """Fill in positions and speeds (axes,) of the axes, m or rad."""
 
     def runaway(self, tick: int) -> str:
         """Return what blew up at this tick, or ''."""
@@ -38,7 +38,7 @@ class Mechanism(Protocol):
         """Note what parts bear, once in a servo cycle."""
 
     def take_loads(self, borne: np.ndarray) -> bool:
-        """Fill in what parts had to bear since last asked (loads.WIDTH,); False if nobody knows."""
+        """Fill in what parts had to bear since last asked (loads.width,); False if nobody knows."""
 
     def reset(self) -> None:
         """Begin anew, at rest."""
@@ -52,7 +52,8 @@ class ModelledMechanism:
         self._machine = machine
         self.parameters = machine.parameters()
         self.state = machine.resting_state(self.parameters)
-        self._loads = loads.begin()
+        self._axes = len(machine.layout.axes)
+        self._loads = loads.begin(self._axes)
         self._warm_up()
 
     def measure(self, tick: int, counts: np.ndarray, line_currents: np.ndarray) -> None:
@@ -62,7 +63,7 @@ class ModelledMechanism:
     def advance(self, tick: int, voltages: Any, mask: int) -> None:
         """Integrate over the tick."""
         terminals_open = self.state['terminals_open'][0]
-        for axis in range(len(AXES)):
+        for axis in range(self._axes):
             terminals_open[axis] = mask >> axis & 1
         plant.advance(self.state, self.parameters, voltages)
 
@@ -87,32 +88,33 @@ class ModelledMechanism:
     def reset(self) -> None:
         """Put the machine to rest where it began."""
         self.state[:] = self._machine.resting_state(self.parameters)
-        self._loads[:] = loads.begin()
+        self._loads[:] = loads.begin(self._axes)
 
     def _warm_up(self) -> None:
         """Compile before the first message, so that no peer waits for the compiler."""
-        state, moved = self._machine.initial_state(self.parameters), np.zeros((2, len(AXES)))
-        plant.measure(state, self.parameters, 0, np.zeros(4, np.int64), np.zeros(2 * len(AXES)))
-        plant.advance(state, self.parameters, np.zeros(3 * len(AXES)))
+        axes, counts = self._axes, np.zeros(len(self._machine.layout.encoders), np.int64)
+        state, moved = self._machine.initial_state(self.parameters), np.zeros((2, axes))
+        plant.measure(state, self.parameters, 0, counts, np.zeros(2 * axes))
+        plant.advance(state, self.parameters, np.zeros(3 * axes))
         plant.joint_positions(state, self.parameters, moved[0], moved[1])
         plant.runaway(state)
-        loads.take(state, self.parameters, loads.begin(), np.zeros(loads.WIDTH))
+        loads.take(state, self.parameters, loads.begin(axes), np.zeros(loads.width(axes)))
 
 
 class ForeignMechanism:
     """An FMU; what its parts bear nobody knows."""
 
-    def __init__(self, fmu: str, mapping: str, timing: Timing) -> None:
+    def __init__(self, fmu: str, mapping: str, timing: Timing, layout: Layout) -> None:
         """Instantiate an FMU, with a file of names or ''; raises `UserError`."""
-        names = read_mapping(Path(mapping) if mapping else None)
-        self._plant = ForeignPlant(Path(fmu), names, timing)
+        names = read_mapping(Path(mapping) if mapping else None, layout)
+        self._plant = ForeignPlant(Path(fmu), names, timing, layout)
         self._shown = self._plant.values()
 
     def measure(self, tick: int, counts: np.ndarray, line_currents: np.ndarray) -> None:
         """Fill in what the FMU shows."""
         self._shown = self._plant.values()
-        counts[:] = np.rint(self._shown[:4])
-        line_currents[:] = self._shown[4:10]
+        readings, line_currents[:], _, _ = self._plant.parts(self._shown)
+        counts[:] = np.rint(readings)
 
     def advance(self, tick: int, voltages: Any, mask: int) -> None:
         """Step the FMU."""
@@ -120,7 +122,7 @@ class ForeignMechanism:
 
     def joints(self, position: np.ndarray, velocity: np.ndarray) -> None:
         """Fill in what the FMU shows of them, or zeros."""
-        position[:], velocity[:] = self._shown[10:13], self._shown[13:16]
+        _, _, position[:], velocity[:] = self._plant.parts(self._shown)
 
     def runaway(self, tick: int) -> str:
         """Return '': values that are not finite are refused where they are read."""
@@ -144,4 +146,4 @@ def mechanism(machine: plant.Machine, fmu: str, mapping: str, timing: Timing) ->
         if mapping:
             raise UserError('fmu_map is for an FMU in the place of the plant: fmu is empty')
         return ModelledMechanism(machine)
-    return ForeignMechanism(fmu, mapping, timing)
+    return ForeignMechanism(fmu, mapping, timing, machine.layout)

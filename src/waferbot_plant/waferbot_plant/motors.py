@@ -66,9 +66,6 @@ from waferbot_lockstep.errors import UserError
 from waferbot_plant.description import Description, Motor
 from waferbot_plant.multibody import sine_and_cosine
 
-MOTORS = 3
-"""Places for motors: the axes of the contract."""
-
 NONE, WYE, DELTA = 0, 1, 2
 """How a motor is wound; NONE where an axis has no motor."""
 
@@ -80,53 +77,61 @@ COLD_DEGC = 25.0
 
 _HALF_ROOT_3 = math.sqrt(3.0) / 2.0
 
-PARAMETER_FIELDS: list[tuple] = [
-    ('winding', 'i8', (MOTORS,)),
-    ('motor_coordinate', 'i8', (MOTORS,)),
-    ('motor_ratio', 'f8', (MOTORS,)),
-    ('electrical_gain', 'f8', (MOTORS,)),
-    ('resistance', 'f8', (MOTORS,)),
-    ('inductance', 'f8', (MOTORS,)),
-    ('back_emf', 'f8', (MOTORS,)),
-    ('resistance_at', 'f8', (MOTORS,)),
-    ('resistance_rise', 'f8', (MOTORS,)),
-    ('heat_capacity', 'f8', (MOTORS,)),
-    ('heat_to_air', 'f8', (MOTORS,)),
-    ('air_temperature', 'f8', (MOTORS,)),
-    ('start_temperature', 'f8', (MOTORS,)),
-    ('motor_imperfect', 'i8', (MOTORS,)),
-    ('saturation', 'f8', (MOTORS,)),
-    ('phase_imbalance', 'f8', (MOTORS, 2)),
-    ('ripple_count', 'i8', (MOTORS,)),
-    ('ripple_order', 'f8', (MOTORS, RIPPLES)),
-    ('ripple_cosine', 'f8', (MOTORS, RIPPLES)),
-    ('ripple_sine', 'f8', (MOTORS, RIPPLES)),
-]
-"""
-Of a winding: resistance in ohm at the temperature `resistance_at` (degC) and its rise (1/K);
-inductance in H, back-EMF amplitude in V s/m or V s/rad. Of all windings of a motor together: heat
-capacity in J/K, zero if the motor does not warm up, heat flow to the air in W/K, temperatures in
-degC. `motor_imperfect` tells whether what follows it is looked at at all; `saturation` is 1 / I_s^2
-in 1/A2, zero without.
-"""
 
-STATE_FIELDS: list[tuple] = [
-    ('winding_current', 'f8', (MOTORS, 3)),
-    ('terminals_open', 'i8', (MOTORS,)),
-    ('electrical_energy', 'f8', (MOTORS,)),
-    ('copper_loss', 'f8', (MOTORS,)),
-    ('winding_temperature', 'f8', (MOTORS,)),
-    ('heat_given_to_air', 'f8', (MOTORS,)),
-    ('winding_phase', 'f8', (MOTORS, 3)),
-    ('driven_current', 'f8', (MOTORS, 3)),
-    ('current_per_speed', 'f8', (MOTORS,)),
-    ('phase_squares', 'f8', (MOTORS,)),
-]
-"""
-Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the
-amplifier and turned to heat in the copper since the start (J); temperature of the windings (degC)
-and heat that they gave to the air since the start (J); and the workings of a step.
-"""
+def parameter_fields(motors: int) -> list[tuple]:
+    """
+    Return the parameters of so many motors, a place for each axis.
+
+    Of a winding: resistance in ohm at the temperature `resistance_at` (degC) and its rise (1/K);
+    inductance in H, back-EMF amplitude in V s/m or V s/rad. Of all windings of a motor together: heat
+    capacity in J/K, zero if the motor does not warm up, heat flow to the air in W/K, temperatures in
+    degC. `motor_imperfect` tells whether what follows it is looked at at all; `saturation` is 1 / I_s^2
+    in 1/A2, zero without.
+    """
+    return [
+        ('winding', 'i8', (motors,)),
+        ('motor_coordinate', 'i8', (motors,)),
+        ('motor_ratio', 'f8', (motors,)),
+        ('electrical_gain', 'f8', (motors,)),
+        ('resistance', 'f8', (motors,)),
+        ('inductance', 'f8', (motors,)),
+        ('back_emf', 'f8', (motors,)),
+        ('resistance_at', 'f8', (motors,)),
+        ('resistance_rise', 'f8', (motors,)),
+        ('heat_capacity', 'f8', (motors,)),
+        ('heat_to_air', 'f8', (motors,)),
+        ('air_temperature', 'f8', (motors,)),
+        ('start_temperature', 'f8', (motors,)),
+        ('motor_imperfect', 'i8', (motors,)),
+        ('saturation', 'f8', (motors,)),
+        ('phase_imbalance', 'f8', (motors, 2)),
+        ('ripple_count', 'i8', (motors,)),
+        ('ripple_order', 'f8', (motors, RIPPLES)),
+        ('ripple_cosine', 'f8', (motors, RIPPLES)),
+        ('ripple_sine', 'f8', (motors, RIPPLES)),
+    ]
+
+
+def state_fields(motors: int) -> list[tuple]:
+    """
+    Return the state of so many motors.
+
+    Winding currents (A); whether the amplifier leaves the terminals open; energy taken from the
+    amplifier and turned to heat in the copper since the start (J); temperature of the windings (degC)
+    and heat that they gave to the air since the start (J); and the workings of a step.
+    """
+    return [
+        ('winding_current', 'f8', (motors, 3)),
+        ('terminals_open', 'i8', (motors,)),
+        ('electrical_energy', 'f8', (motors,)),
+        ('copper_loss', 'f8', (motors,)),
+        ('winding_temperature', 'f8', (motors,)),
+        ('heat_given_to_air', 'f8', (motors,)),
+        ('winding_phase', 'f8', (motors, 3)),
+        ('driven_current', 'f8', (motors, 3)),
+        ('current_per_speed', 'f8', (motors,)),
+        ('phase_squares', 'f8', (motors,)),
+    ]
 
 
 def winding_data(motor: Motor) -> tuple[int, float, float, float]:
@@ -397,11 +402,11 @@ def begin_step(s, p, position, voltage, step):
         i = (i_0 + step/(2L) (u - k s v)) / (1 + step R/(2L)) = driven - per_speed s v,
 
     linear in the mean speed v, which comes out of the mechanism's equations only later. `position`
-    (n,) holds the coordinates at the middle of the step, `voltage` (9,) the terminal voltages. An
+    (n,) holds the coordinates at the middle of the step, `voltage` (3 axes,) the terminal voltages. An
     open terminal carries no current; the energy of the windings goes back to the amplifier within
     one step (really, through its diodes, in a few).
     """
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         winding = p['winding'][motor]
         if winding == NONE:
             continue
@@ -498,7 +503,7 @@ def finish_step(s, p, mean_speed, voltage, step):
 
     Adds the electrical energy supplied and the copper loss of the step to the ledger of `s`, J.
     """
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         winding = p['winding'][motor]
         if winding == NONE:
             continue
@@ -547,7 +552,7 @@ def _warm(s, p, motor, heat, step):
 def magnetic_energy(s, p):
     """Return the energy stored in all windings, sum of L i^2 / 2, J."""
     energy = 0.0
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         for place in range(3):
             current = s['winding_current'][motor, place]
             energy += 0.5 * p['inductance'][motor] * current * current
@@ -565,11 +570,11 @@ def copper_loss_power(s, p, motor):
 @compiled
 def measure_line_currents(s, p, line_currents):
     """
-    Fill `line_currents` (6,) with lines 1 and 2 of each motor, A, positive into the motor.
+    Fill `line_currents` (2 axes,) with lines 1 and 2 of each motor, A, positive into the motor.
 
     Lines of a delta: i_1 = i_12 - i_31, i_2 = i_23 - i_12. The third is minus the sum of the two.
     """
-    for motor in range(MOTORS):
+    for motor in range(len(p['winding'])):
         current = s['winding_current'][motor]
         if p['winding'][motor] == DELTA:
             line_currents[2 * motor] = current[0] - current[2]

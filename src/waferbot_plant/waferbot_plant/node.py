@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,6 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from waferbot_lockstep.contract import (
-    ALL_AXES,
-    ALL_ENCODERS,
-    AXES,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
@@ -41,6 +38,7 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.node import (
     LOCKSTEP,
     REALTIME,
@@ -49,8 +47,10 @@ from waferbot_lockstep.node import (
     Trouble,
     latched_qos,
     lockstep_qos,
+    message_class,
     run_node,
 )
+from waferbot_lockstep.node_settings import MACHINE_AXES, MACHINE_ENCODERS
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     JOINT_STATES,
@@ -59,8 +59,8 @@ from waferbot_lockstep.standard_messages import (
     joint_state_message,
     string_message,
 )
-from waferbot_lockstep.wire import WireFormat
-from waferbot_msgs.msg import PlantState, Recorded
+from waferbot_lockstep.wire import wire_of
+from waferbot_msgs.msg import Recorded
 from waferbot_plant import loads, plant
 from waferbot_plant.mechanisms import mechanism
 from waferbot_plant.motors import check_windings
@@ -78,19 +78,14 @@ SLOW = 0.97
 
 
 class PlantNode(LockstepNode):
-    """Mechanism, motors and encoders of all three axes."""
+    """Mechanism, motors and encoders of all axes."""
 
     def __init__(self, **node_options: Any) -> None:
         """Load the description and compile the model."""
         super().__init__(
-            'plant', {PHASE_VOLTAGES: ALL_AXES}, (ENCODERS_TOPIC, PHASE_CURRENTS), **node_options
+            'plant', (PHASE_VOLTAGES,), (ENCODERS_TOPIC, PHASE_CURRENTS), **node_options
         )
-        description = self.declare_fixed(
-            'description', 'rigid', 'mechanism: name of a shipped description, or a YAML file'
-        )
-        damping = self.declare_choice(
-            'damping', 'improved', ('calculated', 'improved'), 'damping of the connections'
-        )
+        machine = self._machine
         self._paused = bool(
             self.declare_fixed(
                 'start_paused', False, 'wait at tick 0 until ~/pause lets time go on'
@@ -103,8 +98,6 @@ class PlantNode(LockstepNode):
         self._recorder_window = int(settings['recorder_window'])
         self._recorded = 0
         self._recorder_heard_s = 0.0
-        machine = plant.load_machine(description, damping=damping, timing=self.timing)
-        check_windings(machine.description)
         self._mechanism = mechanism(
             machine,
             str(
@@ -116,18 +109,21 @@ class PlantNode(LockstepNode):
             self.timing,
         )
         self._tick = 0
-        self._counts = np.zeros(4, np.int64)
-        self._line_currents = np.zeros(2 * len(AXES))
-        self._position = np.zeros(len(AXES))
-        self._velocity = np.zeros(len(AXES))
-        self._borne = np.zeros(loads.WIDTH)
+        axes = len(self.layout.axes)
+        self._counts = np.zeros(len(self.layout.encoders), np.int64)
+        self._line_currents = np.zeros(2 * axes)
+        self._position = np.zeros(axes)
+        self._velocity = np.zeros(axes)
+        self._borne = np.zeros(loads.width(axes))
         self._watch = Watch(machine)
-        self._plant_state = WireFormat(PLANT_STATE[1])
+        self._plant_state = wire_of(PLANT_STATE, self.layout)
         self._due = False
         self._measured_s = 0.0
         self._clock_outlet = self._slow_outlet(ClockMessage, CLOCK[0])
         self._joint_outlet = self._slow_outlet(JointState, JOINT_STATES[0])
-        self._plant_state_outlet = self._slow_outlet(PlantState, PLANT_STATE[0])
+        self._plant_state_outlet = self._slow_outlet(
+            message_class(PLANT_STATE, self.layout), PLANT_STATE.name
+        )
         self._description_publisher = self.create_publisher(
             String, ROBOT_DESCRIPTION[0], latched_qos()
         )
@@ -136,6 +132,22 @@ class PlantNode(LockstepNode):
         offer_simulation_services(self)
         if self._recorder_window:
             self.create_subscription(Recorded, RECORDED_TOPIC, self._on_recorded, lockstep_qos())
+
+    def find_layout(self) -> Layout:
+        """Load the machine, which has the axes and encoders; raises `UserError`."""
+        description = self.declare_fixed(
+            'description', 'rigid', 'mechanism: name of a shipped description, or a YAML file'
+        )
+        damping = self.declare_choice(
+            'damping', 'improved', ('calculated', 'improved'), 'damping of the connections'
+        )
+        self._machine = plant.load_machine(description, damping=damping, timing=self.timing)
+        check_windings(self._machine.description)
+        return self._machine.layout
+
+    def parameters_of_others(self) -> Iterable[str]:
+        """Return what other nodes are told of the machine, and the plant has from its description."""
+        return (MACHINE_AXES, MACHINE_ENCODERS)
 
     def _slow_outlet(self, message_type: Any, name: str) -> Outlet:
         return Outlet(self.create_publisher(message_type, name, lockstep_qos()), self.exchange)
@@ -253,8 +265,8 @@ class PlantNode(LockstepNode):
         if tick % self.timing.servo_divider == 0:
             self._mechanism.note_loads()
         if tick % self.timing.encoder_divider == 0:
-            self.give(ENCODERS_TOPIC, tick, ALL_ENCODERS, self._counts.tolist())
-        self.give(PHASE_CURRENTS, tick, ALL_AXES, self._line_currents.tolist())
+            self.give(ENCODERS_TOPIC, tick, self.layout.all_encoders, self._counts.tolist())
+        self.give(PHASE_CURRENTS, tick, self.layout.all_axes, self._line_currents.tolist())
 
     def _publish_slow_topics(self, tick: int) -> None:
         stamp_ns = self.timing.stamp_ns(tick)
@@ -264,7 +276,7 @@ class PlantNode(LockstepNode):
             self._joint_outlet,
             joint_state_message(
                 stamp_ns,
-                AXES,
+                self.layout.axes,
                 self._position.tolist(),
                 self._velocity.tolist(),
             ),
@@ -274,7 +286,7 @@ class PlantNode(LockstepNode):
         self._watch.note(loads.Loads.of_rows(np.array([tick]), self._borne[np.newaxis]))
         self.publish(
             self._plant_state_outlet,
-            self._plant_state.encode(tick, stamp_ns, ALL_AXES, self._borne.tolist()),
+            self._plant_state.encode(tick, stamp_ns, self.layout.all_axes, self._borne.tolist()),
         )
 
     # ---- who has time go on ----------------------------------------------------------------------

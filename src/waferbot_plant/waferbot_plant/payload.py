@@ -24,15 +24,19 @@ from waferbot_plant.multibody import place_links
 WIDTH = 22
 """Values: position, quaternion (x, y, z, w), velocity, angular velocity, acceleration, error, tilt."""
 
-PARAMETER_FIELDS: list[tuple] = [
-    ('payload_link', 'i8'),
-    ('payload_offset', 'f8', (3,)),
-    ('payload_axes', 'i8', (3,)),
-]
-"""
-Place of the link from 1, 0 for none; of the frame from the link's point at home, m; the coordinates of
-the axes, -1 where there is none.
-"""
+
+def parameter_fields(axes: int) -> list[tuple]:
+    """
+    Return the parameters of the frame, of a machine with room for so many axes.
+
+    Place of the link from 1, 0 for none; of the frame from the link's point at home, m; the coordinates
+    of the axes, -1 where there is none.
+    """
+    return [
+        ('payload_link', 'i8'),
+        ('payload_offset', 'f8', (3,)),
+        ('payload_axes', 'i8', (axes,)),
+    ]
 
 
 @compiled
@@ -45,7 +49,7 @@ def payload_frame(s, p, row):
     position = s['position']
     still = np.zeros(len(position))
     held = np.zeros(len(position))
-    for axis in range(3):
+    for axis in range(len(p['payload_axes'])):
         coordinate = p['payload_axes'][axis]
         if coordinate >= 0:
             held[coordinate] = position[coordinate]

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.marked_yaml import Document, read
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
@@ -64,10 +64,10 @@ def measure(state, parameters, tick, counts, line_currents):
     """
     Measure the machine at tick `tick`.
 
-    `counts` int64 (4,) is written on encoder ticks only, with the counts of `delay_cycles` encoder
-    ticks ago; call it for every tick, in order. `line_currents` float64 (6,): lines 1 and 2 of
-    each motor as its sensors show them, A, positive into the motor. Places of axes that the
-    machine does not have are zero.
+    `counts` int64 (encoders,) is written on encoder ticks only, with the counts of `delay_cycles`
+    encoder ticks ago; call it for every tick, in order. `line_currents` float64 (2 axes,): lines 1 and 2
+    of each motor as its sensors show them, A, positive into the motor. Places of axes that the machine
+    does not have are zero.
     """
     s = state[0]
     p = parameters[0]
@@ -92,7 +92,7 @@ def advance(state, parameters, voltage):
     """
     Advance the machine by one tick.
 
-    `voltage` float64 (9,): terminals 1, 2, 3 of each motor against the middle of the bus, V, held
+    `voltage` float64 (3 axes,): terminals 1, 2, 3 of each motor against the middle of the bus, V, held
     over the tick. Any common reference will do: only differences within a motor matter.
     """
     s = state[0]
@@ -111,7 +111,7 @@ def advance(state, parameters, voltage):
 
 @compiled
 def joint_positions(state, parameters, position, velocity):
-    """Fill `position` and `velocity` (3,) of the axes, m or rad, and per s; zero if missing."""
+    """Fill `position` and `velocity` (axes,) of the axes, m or rad, and per s; zero if missing."""
     s = state[0]
     p = parameters[0]
     for axis in range(len(position)):
@@ -220,6 +220,11 @@ class Machine:
     timing: Timing
 
     @property
+    def layout(self) -> Layout:
+        """The axes and encoders, in the order of their places."""
+        return self.description.layout
+
+    @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the minimal coordinates, in order."""
         return self.assembly.coordinates
@@ -238,12 +243,12 @@ class Machine:
     @cached_property
     def parameter_dtype(self) -> np.dtype:
         """Dtype of the parameters."""
-        return _parameter_dtype(**room.lengths(self.in_use))
+        return _parameter_dtype(self.layout, **room.lengths(self.in_use))
 
     @cached_property
     def state_dtype(self) -> np.dtype:
         """Dtype of the state, which includes the ledgers of energy and the step's workings."""
-        return _state_dtype(**room.lengths(self.in_use))
+        return _state_dtype(self.layout, **room.lengths(self.in_use))
 
     def parameters(self) -> NDArray[np.void]:
         """Return the parameters, a structured array of one element that is the caller's to change."""
@@ -266,7 +271,7 @@ class Machine:
         self._fill_payload(p)
         self._fill_elements(p)
         self._fill_disturbances(p)
-        for place, axis in enumerate(AXES):
+        for place, axis in enumerate(self.layout.axes):
             if axis in description.axes:
                 row, ratio = self._placing(description.axes[axis])
                 p['axis_coordinate'][place], p['axis_ratio'][place] = row, ratio
@@ -278,7 +283,7 @@ class Machine:
             if axis in description.current_sensors:
                 sensors = description.current_sensors[axis]
                 fill_place(p, place, current_sensors.sensor_data(sensors))
-        for place, place_name in enumerate(ENCODERS):
+        for place, place_name in enumerate(self.layout.encoders):
             if place_name in description.encoders:
                 encoder = description.encoders[place_name]
                 row, ratio = self._placing(encoder.coordinate)
@@ -315,7 +320,7 @@ class Machine:
         """Write where the payload frame is; a body that stands still has none."""
         description, links = self.description, self.assembly.links
         p['payload_axes'] = -1
-        for place, axis in enumerate(AXES):
+        for place, axis in enumerate(self.layout.axes):
             if axis in description.axes:
                 p['payload_axes'][place] = self._placing(description.axes[axis])[0]
         if description.payload is None:
@@ -456,7 +461,7 @@ class Machine:
 
 @functools.cache
 def _parameter_dtype(
-    links: int, coordinates: int, springs: int, cables: int, frictions: int
+    layout: Layout, links: int, coordinates: int, springs: int, cables: int, frictions: int
 ) -> np.dtype:
     """Return the dtype of the parameters of machines in a room."""
     return np.dtype(
@@ -469,12 +474,12 @@ def _parameter_dtype(
             *friction_laws.parameter_fields(frictions),
             *bearing_loads.parameter_fields(frictions),
             *spring_laws.parameter_fields(springs),
-            *motors.PARAMETER_FIELDS,
-            *encoders.PARAMETER_FIELDS,
-            *current_sensors.PARAMETER_FIELDS,
-            ('axis_coordinate', 'i8', (len(AXES),)),
-            ('axis_ratio', 'f8', (len(AXES),)),
-            *payload.PARAMETER_FIELDS,
+            *motors.parameter_fields(len(layout.axes)),
+            *encoders.parameter_fields(len(layout.encoders)),
+            *current_sensors.parameter_fields(len(layout.axes)),
+            ('axis_coordinate', 'i8', (len(layout.axes),)),
+            ('axis_ratio', 'f8', (len(layout.axes),)),
+            *payload.parameter_fields(len(layout.axes)),
             ('lagrangian', 'i8'),
             ('lagrange', LAGRANGE_PARAMETERS, (1,)),
             *disturbances.PARAMETER_FIELDS,
@@ -485,14 +490,14 @@ def _parameter_dtype(
 
 @functools.cache
 def _state_dtype(
-    links: int, coordinates: int, springs: int, cables: int, frictions: int
+    layout: Layout, links: int, coordinates: int, springs: int, cables: int, frictions: int
 ) -> np.dtype:
     """Return the dtype of the state of machines in a room."""
     return np.dtype(
         [
             *integrator.state_fields(coordinates),
-            *motors.STATE_FIELDS,
-            *encoders.STATE_FIELDS,
+            *motors.state_fields(len(layout.axes)),
+            *encoders.state_fields(len(layout.encoders)),
             *elements.state_fields(springs, cables, frictions, coordinates),
             *multibody.workspace_fields(links, coordinates),
             *disturbances.state_fields(coordinates),

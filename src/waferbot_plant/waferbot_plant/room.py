@@ -6,6 +6,7 @@ Code is compiled for arrays of certain lengths. If those were a machine's own nu
 coordinates, springs, cables and frictions, each change of a description would be compiled for half a
 minute. So arrays have room for more, in steps, and the numbers in use are parameters: all machines
 that fit into the first step of each, as those that come with the package do, share one compiled code.
+Places for axes and encoders are as many as a machine has; another number of them is compiled anew.
 Loops end at what is in use; what is beyond is zero and costs nothing.
 """
 

@@ -19,7 +19,6 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_plant import elements, motors, plant, spring_laws
@@ -59,7 +58,7 @@ def settle(
     if not holding:
         return
     for axis, force in forces.items():
-        place = AXES.index(axis)
+        place = machine.layout.place(axis)
         angle = _electrical_angle(machine, state, axis)
         amplitude = _amplitude(machine, parameters, axis, force, angle)
         lines = amplitude * np.sin(angle - 2.0 * np.pi / 3.0 * np.arange(2))
@@ -105,7 +104,7 @@ def _amplitude(
     machine: Machine, parameters: NDArray[np.void], axis: str, force: float, angle: float
 ) -> float:
     """Return the amplitude of line currents (A) with which a motor makes a force (N, Nm)."""
-    place = AXES.index(axis)
+    place = machine.layout.place(axis)
     if not parameters[0]['motor_imperfect'][place]:
         return force / motors.force_constant(machine.description.motors[axis])
     amplitude = motors.current_of_force(parameters, place, angle, force)

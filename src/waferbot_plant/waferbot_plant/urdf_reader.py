@@ -2,7 +2,7 @@
 """
 A robot's URDF as the description of a machine: bodies, joints, friction; and what it lacks.
 
-A robot of one to three joints that slide or turn, in a row or a tree. Fixed joints are melted into the
+A robot of one to eight joints that slide or turn, in a row or a tree. Fixed joints are melted into the
 body that they are fixed to. The frame stays the robot's, z up, with gravity to match; every vector is at
 the home pose, where all joints are zero. `<dynamics>` becomes friction and damping.
 """
@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import MOST_AXES, SIDES
 
 Vector = NDArray[np.float64]
 
@@ -48,8 +49,9 @@ def read_urdf(text: str, source: str) -> FromUrdf:
     """
     Return a robot's URDF as a description; raises `UserError` naming `source` and the element.
 
-    A joint with the name of an axis of the contract becomes that one; the others, in their order, those
-    that are left: `y_linear`, `x_rotate`, `y_rotate`, whatever they are on that robot.
+    Of up to three joints, one with the name of an axis of the shipped machine becomes that one; the
+    others, in their order, those that are left: `y_linear`, `x_rotate`, `y_rotate`, whatever they are on
+    that robot. Of more, each becomes an axis of its own name.
     """
     try:
         robot = ElementTree.fromstring(text)
@@ -70,8 +72,8 @@ def read_urdf(text: str, source: str) -> FromUrdf:
                 f'{source}: joint {joint.get("name")!r} is {joint.get("type")}; it must be fixed, '
                 'revolute, continuous or prismatic'
             )
-    if not 1 <= len(moving) <= len(AXES):
-        raise UserError(f'{source}: {len(moving)} joints move; one to {len(AXES)} can be taken')
+    if not 1 <= len(moving) <= MOST_AXES:
+        raise UserError(f'{source}: {len(moving)} joints move; one to {MOST_AXES} can be taken')
     return _Reader(source, links, joints, str(robot.get('name', 'robot'))).read(roots[0])
 
 
@@ -186,6 +188,9 @@ class _Reader:
 
     def _axis(self, name: str) -> str:
         """Return the axis that a joint becomes: of its own name, or the next that no joint has."""
+        moving = [joint for joint in self.joints if joint.get('type') != 'fixed']
+        if len(moving) > len(AXES):
+            return f'{name}_axis' if name.endswith(SIDES[1:]) else name
         if name in AXES:
             return name
         named = {_word(str(joint.get('name'))) for joint in self.joints}

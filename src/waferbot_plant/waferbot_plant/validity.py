@@ -30,7 +30,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Element
 from waferbot_plant.description import Connection, Stage, Transmission
@@ -174,7 +173,7 @@ def checks_of(machine: Machine) -> Iterator[tuple[Check, Callable[[Loads], Amoun
             yield from _guide_checks(part_name, part, springs)
         elif isinstance(part, CrossRollerBearing):
             yield from _ring_checks(part_name, part, springs)
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(machine.layout.axes):
         motor = machine.description.motors.get(axis)
         limit = motor.heating.limit if motor is not None and motor.heating is not None else None
         if limit is not None:

@@ -17,34 +17,52 @@ is its place among the axes here, so parameters and state look alike for all mac
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import current_sensors, encoders, motors
 from waferbot_plant.description import Description
 from waferbot_plant.plant import fill_place
 
-WINDING_PARAMETERS = np.dtype(
-    [
-        *motors.PARAMETER_FIELDS,
-        *encoders.PARAMETER_FIELDS,
-        *current_sensors.PARAMETER_FIELDS,
-    ],
-    align=True,
-)
-WINDING_STATE = np.dtype(
-    [
-        *motors.STATE_FIELDS,
-        *encoders.STATE_FIELDS,
-        ('position', 'f8', (motors.MOTORS,)),
-        ('middle_position', 'f8', (motors.MOTORS,)),
-        ('middle_velocity', 'f8', (motors.MOTORS,)),
-    ],
-    align=True,
-)
+
+@functools.cache
+def parameter_dtype(axes: int, encoder_places: int) -> np.dtype:
+    """Return the dtype of the parameters of so many windings and encoders."""
+    return np.dtype(
+        [
+            *motors.parameter_fields(axes),
+            *encoders.parameter_fields(encoder_places),
+            *current_sensors.parameter_fields(axes),
+        ],
+        align=True,
+    )
+
+
+@functools.cache
+def state_dtype(axes: int, encoder_places: int) -> np.dtype:
+    """Return the dtype of their state."""
+    return np.dtype(
+        [
+            *motors.state_fields(axes),
+            *encoders.state_fields(encoder_places),
+            ('position', 'f8', (axes,)),
+            ('middle_position', 'f8', (axes,)),
+            ('middle_velocity', 'f8', (axes,)),
+        ],
+        align=True,
+    )
+
+
+def blank_state(parameters: np.ndarray) -> np.ndarray:
+    """Return a state (1,) of zeros, with the places that parameters have."""
+    axes, encoder_places = (
+        parameters.dtype[name].shape[0] for name in ('winding', 'encoder_delay')
+    )
+    return np.zeros(1, state_dtype(axes, encoder_places))
 
 
 def motor_encoder(description: Description, axis: str) -> int | None:
@@ -55,7 +73,7 @@ def motor_encoder(description: Description, axis: str) -> int | None:
     return next(
         (
             place
-            for place, name in enumerate(ENCODERS)
+            for place, name in enumerate(description.layout.encoders)
             if name in description.encoders and description.encoders[name].coordinate == wanted
         ),
         None,
@@ -66,16 +84,17 @@ def winding_parameters(
     description: Description, encoder_hz: float = Timing().encoder_hz
 ) -> np.ndarray:
     """
-    Return the parameters (`WINDING_PARAMETERS`, shape (1,)) of windings, their sensors and encoders.
+    Return the parameters (`parameter_dtype`, shape (1,)) of windings, their sensors and encoders.
 
     `encoder_hz` is the rate of the readings, in whose cycles delays come out.
     Without noise: what is computed here is what a measurement is compared with.
     """
-    parameters = np.zeros(1, WINDING_PARAMETERS)
+    layout = description.layout
+    parameters = np.zeros(1, parameter_dtype(len(layout.axes), len(layout.encoders)))
     p = parameters[0]
-    p['motor_coordinate'] = range(motors.MOTORS)
+    p['motor_coordinate'] = range(len(layout.axes))
     p['motor_ratio'] = 1.0
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(layout.axes):
         if axis in description.motors:
             fill_place(p, place, motors.motor_data(description.motors[axis]))
         if axis in description.current_sensors:
@@ -84,7 +103,7 @@ def winding_parameters(
         encoder = motor_encoder(description, axis)
         if encoder is not None:
             p['encoder_coordinate'][encoder] = place
-            own = description.encoders[ENCODERS[encoder]]
+            own = description.encoders[layout.encoders[encoder]]
             late = description.encoder_delay
             fill_place(p, encoder, encoders.encoder_data(own, 1.0, late, encoder_hz))
     p['current_noise'] = 0.0
@@ -93,10 +112,10 @@ def winding_parameters(
 
 
 def initial_state(parameters: np.ndarray, line_current: np.ndarray) -> np.ndarray:
-    """Return the state (`WINDING_STATE`, shape (1,)) with line currents (6,) as measured, A."""
-    state = np.zeros(1, WINDING_STATE)
+    """Return the state (`state_dtype`, shape (1,)) with line currents (2 axes,) as measured, A."""
+    state = blank_state(parameters)
     state['winding_temperature'] = parameters['start_temperature']
-    for motor in range(motors.MOTORS):
+    for motor in range(len(parameters[0]['winding'])):
         first, second = (
             current_sensors.true_current(
                 parameters[0], motor, line, line_current[current_sensors.LINES * motor + line]
@@ -109,24 +128,25 @@ def initial_state(parameters: np.ndarray, line_current: np.ndarray) -> np.ndarra
 
 def motor_positions(parameters: np.ndarray, counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """
-    Return the position (rows, 3) of each motor, m or rad, whose encoders see `counts` (rows, 4).
+    Return the position (rows, axes) of each motor, m or rad, whose encoders see `counts` (rows,
+    encoders).
 
     Scale, cyclic errors and lost counts of the model's encoders are taken out; delays are not, they
     are the caller's. Zero for a motor without an encoder.
     """
     exact = parameters.copy()
     exact['delay_fraction'] = 0.0
-    position = np.zeros((len(counts), motors.MOTORS))
-    encoders.find_positions(np.zeros(1, WINDING_STATE), exact, counts, position)
+    position = np.zeros((len(counts), len(parameters[0]['winding'])))
+    encoders.find_positions(blank_state(exact), exact, counts, position)
     return position
 
 
 @compiled
 def advance(state, parameters, before, after, voltage, step_s, substeps):
     """
-    Advance the windings by `substeps` steps of `step_s` seconds with the voltages (9,) held, V.
+    Advance the windings by `substeps` steps of `step_s` seconds with the voltages (3 axes,) held, V.
 
-    `before` and `after` (3,) are the positions of the motors where it begins and ends, m or rad; they
+    `before` and `after` (axes,) are the positions of the motors where it begins and ends, m or rad; they
     move evenly in between.
     """
     s = state[0]
@@ -134,7 +154,7 @@ def advance(state, parameters, before, after, voltage, step_s, substeps):
     middle = s['middle_position']
     speed = s['middle_velocity']
     for substep in range(substeps):
-        for motor in range(motors.MOTORS):
+        for motor in range(len(p['winding'])):
             way = after[motor] - before[motor]
             middle[motor] = before[motor] + way * (substep + 0.5) / substeps
             speed[motor] = way / (substeps * step_s)
@@ -144,5 +164,5 @@ def advance(state, parameters, before, after, voltage, step_s, substeps):
 
 @compiled
 def show(state, parameters, line_current):
-    """Fill `line_current` (6,) with lines 1 and 2 of each motor as its sensors show them, A."""
+    """Fill `line_current` (2 axes,) with lines 1 and 2 of each motor as its sensors show them, A."""
     current_sensors.measure_currents(state[0], parameters[0], 0, line_current)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.package_data import package_data
 from waferbot_pmac.i_variables import (
     I_VARIABLES,
@@ -226,3 +227,32 @@ def test_any_text_is_a_listing_with_its_problems_told(text):
     lines = text.splitlines()
     for problem in listing.problems:
         assert problem.text in lines[problem.line - 1]
+
+
+FOUR = Layout(
+    ('lift', 'shoulder', 'elbow', 'wrist'),
+    ('lift', 'shoulder_load', 'shoulder_motor', 'elbow', 'wrist'),
+)
+
+
+def test_motors_are_the_axes_of_the_machine_and_encoders_its_own():
+    p = servo_parameters({'wrist': {'Ixx30': 7}}, 'arm', FOUR)[0]
+    assert p['Ixx30'].tolist() == [2000, 2000, 2000, 7]
+    assert p['Ixx03'].tolist() == [0, 1, 3, 4]  # position by the load's encoder
+    assert p['Ixx04'].tolist() == [0, 2, 3, 4]  # velocity by the motor's
+    listing = parse_listing('I430=9 I530=1 I203=4 I204=5', layout=FOUR)
+    assert listing.settings == {'wrist': {'Ixx30': 9}, 'shoulder': {'Ixx03': 4}}
+    reasons = [problem.reason for problem in listing.problems]
+    assert reasons[0] == 'motor 5 is not used here; motors 1 to 4 are lift, shoulder, elbow, wrist'
+    assert '4 wrist' in reasons[1]
+    yaml = '/**/pmac: {ros__parameters: {wrist: {Ixx30: 3}, experiment: step}}'
+    assert parse_yaml(yaml, 'arm.yaml', FOUR) == {'wrist': {'Ixx30': 3}}
+
+
+@pytest.mark.parametrize('name', ['Ixx03', 'Ixx04'])
+def test_an_encoder_that_the_machine_lacks_is_refused(name):
+    """The servo reads it unchecked."""
+    with pytest.raises(UserError, match=f'{name} is 5; the range is 0 to 4'):
+        servo_parameters({'lift': {name: 5}}, 'arm', FOUR)
+    with pytest.raises(UserError, match="'y_linear' is no axis; the axes are lift, shoulder"):
+        servo_parameters({'y_linear': {name: 0}}, 'arm', FOUR)

@@ -33,8 +33,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, USUAL_UNITS
+from waferbot_lockstep.contract import USUAL_UNITS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_pmac.servo import DAC_RANGE, REGISTERS_PER_COUNT
 from waferbot_pmac.user_units import Units
@@ -136,8 +137,8 @@ def parse_tables(text: str, source: str, units: Units = USUAL_UNITS) -> tuple[Ta
 
 
 def _check_names(where: str, axis: str, over: str, units: Units) -> None:
-    if axis not in AXES:
-        raise UserError(f'{where}: no axis {axis!r}{did_you_mean(axis, AXES)}')
+    if axis not in units:
+        raise UserError(f'{where}: no axis {axis!r}{did_you_mean(axis, units)}')
     own = (over_position(units[axis]), over_speed(units[axis]))
     known = (*own, f'{TIME}:EXPERIMENT')
     kind, colon, experiment = over.partition(':')
@@ -175,19 +176,20 @@ def offsets(
     commanded: Floats,
     parameters: np.ndarray,
     servo_rate_hz: float,
+    layout: Layout = SHIPPED,
 ) -> Floats:
     """
-    Return what the servo adds to its output in every cycle, DAC units, (cycles, 3).
+    Return what the servo adds to its output in every cycle, DAC units, (cycles, axes).
 
-    `commanded` (cycles, 3) are the commanded positions in counts, absolute, from the first cycle of
+    `commanded` (cycles, axes) are the commanded positions in counts, absolute, from the first cycle of
     the experiment on; they are taken as the servo's registers hold them. The speed of a cycle is its
-    change, zero in the first. `parameters` is a `SERVO_PARAMETERS` array.
+    change, zero in the first. `parameters` are those of the servo.
     """
     result = np.zeros(commanded.shape)
     for table in tables:
         if table.experiment and table.experiment != experiment:
             continue
-        place = AXES.index(table.axis)
+        place = layout.place(table.axis)
         p = {name: float(parameters[name][0, place]) for name in _SCALES}
         registers = REGISTERS_PER_COUNT * p['Ixx08']
         position = np.floor(commanded[:, place] * registers + 0.5) / registers

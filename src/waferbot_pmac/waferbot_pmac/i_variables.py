@@ -6,9 +6,9 @@ The I-variables of a motor, declared once, and the array in which the servo read
 3 `y_rotate`. Meaning, range and default are those of the Turbo PMAC Software Reference, except
 that
 
-- Ixx03 and Ixx04 hold the place of an encoder in the contract (0 `y_linear`, 1 `x_rotate`,
-  2 `y_rotate_load`, 3 `y_rotate_motor`), where the controller holds the address of an entry of its
-  encoder conversion table;
+- Ixx03 and Ixx04 hold the place of an encoder among those of the machine (on the shipped one 0
+  `y_linear`, 1 `x_rotate`, 2 `y_rotate_load`, 3 `y_rotate_motor`), where the controller holds the
+  address of an entry of its encoder conversion table;
 - `feedback_filter` stands for the exponential filter of that table;
 - `command_delay` is what the way from the servo's result to the amplifier takes beyond the usual:
   no setting of the controller, but of the ring and the amplifier's interface;
@@ -26,8 +26,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import MOST_AXES, SHIPPED, Layout
 from waferbot_lockstep.parameters import Parameter, check_settings, check_value
 
 LARGEST_24_BIT = 2**23 - 1
@@ -241,64 +241,91 @@ MOTOR_SETTINGS: tuple[Parameter, ...] = (
 
 COUNTS_PER_RADIAN = 2**20 / (2.0 * math.pi)
 
-_DEFAULTS_OF_AXIS: dict[str, dict[str, int | float]] = {
-    'y_linear': {'counts_per_unit': 1e7},
-    'x_rotate': {'Ixx03': 1, 'Ixx04': 1, 'counts_per_unit': COUNTS_PER_RADIAN},
-    'y_rotate': {'Ixx03': 2, 'Ixx04': 3, 'counts_per_unit': COUNTS_PER_RADIAN},
+_COUNTS_PER_UNIT = {
+    'y_linear': 1e7,
+    'x_rotate': COUNTS_PER_RADIAN,
+    'y_rotate': COUNTS_PER_RADIAN,
 }
+"""Of the shipped machine."""
+
+FEEDBACK = ('Ixx03', 'Ixx04')
+"""What holds the place of an encoder."""
 
 _USED_AS_INTEGER = ('Ixx03', 'Ixx04', 'Ixx24', 'Ixx34', 'Ixx60', 'Ixx96', 'command_delay')
 
-SERVO_PARAMETERS = np.dtype(
-    [
-        (parameter.name, 'i8' if parameter.name in _USED_AS_INTEGER else 'f8', (len(AXES),))
-        for parameter in I_VARIABLES + MOTOR_SETTINGS
-    ],
-    align=True,
-)
-"""
-All settings of the three motors, each a field of shape (3,) in the order of the axes.
 
-Gains are whole numbers carried as float64; a float64 holds every 24-bit number exactly.
-"""
-
-
-@lru_cache(maxsize=len(AXES))
-def axis_parameters(axis: str) -> tuple[Parameter, ...]:
+@lru_cache(maxsize=MOST_AXES)
+def servo_parameter_dtype(motors: int) -> np.dtype:
     """
-    Return the declarations for one axis, with the defaults of that axis.
+    Return the dtype of all settings of so many motors: fields of shape (motors,), in order of the axes.
+
+    Gains are whole numbers carried as float64; a float64 holds every 24-bit number exactly.
+    """
+    return np.dtype(
+        [
+            (parameter.name, 'i8' if parameter.name in _USED_AS_INTEGER else 'f8', (motors,))
+            for parameter in I_VARIABLES + MOTOR_SETTINGS
+        ],
+        align=True,
+    )
+
+
+@lru_cache(maxsize=8 * MOST_AXES)
+def axis_parameters(axis: str, layout: Layout = SHIPPED) -> tuple[Parameter, ...]:
+    """
+    Return the declarations for one axis of a machine, with the defaults of that axis.
 
     They differ from the factory defaults only where those would be meaningless: encoders of the
-    motor and its counts per unit. Raises `KeyError` for a name that is no axis.
+    motor (position by that of the load, velocity by that of the motor, if there are both), of which
+    there are as many as the machine has, and its counts per unit. Raises `ValueError` for a name that is
+    no axis.
     """
-    defaults = _DEFAULTS_OF_AXIS[axis]
+    layout.place(axis)
+    encoders = [layout.encoder_place(name) for name in layout.encoders_of(axis)]
+    defaults: dict[str, int | float] = {'Ixx03': encoders[0], 'Ixx04': encoders[-1]}
+    if axis in _COUNTS_PER_UNIT:
+        defaults['counts_per_unit'] = _COUNTS_PER_UNIT[axis]
+    highest = {name: len(layout.encoders) - 1 for name in FEEDBACK}
     return tuple(
-        replace(parameter, default=defaults.get(parameter.name, parameter.default))
+        replace(
+            parameter,
+            default=defaults.get(parameter.name, parameter.default),
+            high=highest.get(parameter.name, parameter.high),
+        )
         for parameter in I_VARIABLES + MOTOR_SETTINGS
     )
 
 
-def servo_parameters(settings: Mapping[str, Mapping[str, object]], where: str = '') -> np.ndarray:
+def servo_parameters(
+    settings: Mapping[str, Mapping[str, object]], where: str = '', layout: Layout = SHIPPED
+) -> np.ndarray:
     """
-    Build the `SERVO_PARAMETERS` array, shape (1,), from `{'y_linear': {'Ixx30': 2000}, ...}`.
+    Build the parameters (`servo_parameter_dtype`, shape (1,)) from `{'y_linear': {'Ixx30': 2000}, ...}`.
 
     What is not given has its default. Raises `UserError`, naming `where`, the axis and the
     setting, for an unknown axis or setting and for a value out of range.
     """
-    parameters = np.zeros(1, SERVO_PARAMETERS)
+    parameters = np.zeros(1, servo_parameter_dtype(len(layout.axes)))
     prefix = f'{where}: ' if where else ''
     for axis in settings:
-        if axis not in AXES:
-            raise UserError(f'{prefix}{axis!r} is no axis; the axes are {", ".join(AXES)}')
-    for place, axis in enumerate(AXES):
-        values = check_settings(axis_parameters(axis), settings.get(axis, {}), prefix + axis)
+        if axis not in layout.axes:
+            raise UserError(f'{prefix}{axis!r} is no axis; the axes are {", ".join(layout.axes)}')
+    for place, axis in enumerate(layout.axes):
+        values = check_settings(
+            axis_parameters(axis, layout), settings.get(axis, {}), prefix + axis
+        )
         for name, value in values.items():
             parameters[name][0, place] = as_held(name, value)
     return parameters
 
 
 def change_parameter(
-    parameters: np.ndarray, axis: str, name: str, value: object, loop_closed: bool
+    parameters: np.ndarray,
+    axis: str,
+    name: str,
+    value: object,
+    loop_closed: bool,
+    layout: Layout = SHIPPED,
 ) -> None:
     """
     Change one setting of one axis in place, as a command to the running controller does.
@@ -306,15 +333,15 @@ def change_parameter(
     Raises `UserError` for an unknown axis or setting, a value out of range, and a setting that
     cannot change while the loop is closed (`loop_closed`); nothing is changed then.
     """
-    if axis not in AXES:
-        raise UserError(f'{axis!r} is no axis; the axes are {", ".join(AXES)}')
-    for parameter in axis_parameters(axis):
+    if axis not in layout.axes:
+        raise UserError(f'{axis!r} is no axis; the axes are {", ".join(layout.axes)}')
+    for parameter in axis_parameters(axis, layout):
         if parameter.name == name:
             break
     else:
         raise UserError(f'{axis}: unknown setting {name!r}')
     checked = as_held(name, check_value(parameter, value, axis))
-    place = AXES.index(axis)
+    place = layout.place(axis)
     if parameter.fixed and loop_closed and checked != parameters[name][0, place]:
         raise UserError(
             f'{axis}: {name} cannot change while the loop is closed; stop the run first'

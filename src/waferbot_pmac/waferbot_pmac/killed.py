@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.servo import (
     AMPLIFIER_I2T,
@@ -36,8 +36,9 @@ def cause(flags: int) -> str:
 
 @dataclass
 class KilledMotors:
-    """The tick and the flags with which each motor was found killed first, by axis."""
+    """The tick and the flags with which each motor of a machine was found killed first, by axis."""
 
+    layout: Layout = SHIPPED
     found: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
@@ -45,18 +46,18 @@ class KilledMotors:
         return bool(self.found)
 
     def note(self, tick: int, flags: Iterable[float]) -> bool:
-        """Look at the flags (3,) of one servo cycle; return whether a motor is killed that was not."""
+        """Look at the flags (axes,) of one servo cycle; return whether a motor is killed anew."""
         before = len(self.found)
-        for axis, own in zip(AXES, flags, strict=True):
+        for axis, own in zip(self.layout.axes, flags, strict=True):
             if int(own) & MOTOR_KILLED:
                 self.found.setdefault(axis, (tick, int(own)))
         return len(self.found) > before
 
     def note_all(self, ticks: np.ndarray, flags: np.ndarray) -> None:
-        """Look at the flags (n, 3) of many servo cycles, in the order of time."""
+        """Look at the flags (n, axes) of many servo cycles, in the order of time."""
         for row in np.flatnonzero(np.any(flags.astype(np.int64) & MOTOR_KILLED, axis=1)):
             self.note(int(ticks[row]), flags[row])
-            if len(self.found) == len(AXES):
+            if len(self.found) == len(self.layout.axes):
                 return
 
     def reason(self, timing: Timing) -> str:

@@ -6,8 +6,8 @@ Every I-variable is a parameter of the node (`y_linear.Ixx30`, ...), with the ma
 range; those that the controller lets you change with the loop closed can be changed while it runs
 and act from the next servo cycle. The action `run_experiment` runs a motion from wherever the axes
 are commanded to be; when it is cancelled, Ixx15 brings the motors to rest. The parameter `experiment`
-names the one that begins at tick 0; `units` says in what each axis is measured (`m rad rad`), as the
-node does not know the machine.
+names the one that begins at tick 0. As the node does not know the machine, `machine_axes` and
+`machine_encoders` name what it has, and `units` says in what each axis is measured (`m rad rad`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,7 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.task import Future
 
 from waferbot_lockstep.contract import (
-    ALL_AXES,
-    ALL_ENCODERS,
-    AXES,
     CURRENT_COMMAND,
-    ENCODERS,
     ENCODERS_TOPIC,
     SERVO_STATE,
     Topic,
@@ -42,7 +38,7 @@ from waferbot_pmac.experiments import check_units, commanded_positions, load_exp
 from waferbot_pmac.i_variables import axis_parameters, change_parameter, servo_parameters
 from waferbot_pmac.killed import KilledMotors
 from waferbot_pmac.trajectories import brought_to_rest
-from waferbot_pmac.user_units import parse_units, units_text
+from waferbot_pmac.user_units import parse_units, units_text, usual_units
 
 CANCELLED = 'cancelled: the motors were brought to rest'
 MILLISECONDS = 1000.0  # per second; Ixx15 and Ixx16 are per ms^2 and per ms
@@ -67,7 +63,7 @@ class Motion:
         self.start = start
         self.first_cycle = first_cycle
         self.offsets = np.zeros_like(positions)
-        self.peak_following_error = np.zeros(len(AXES))
+        self.peak_following_error = np.zeros(positions.shape[1])
         moving = np.flatnonzero(np.any(positions != positions[-1], axis=1))
         self._last_change = int(moving[-1]) + 1 if len(moving) else 0
 
@@ -111,20 +107,23 @@ class Motion:
 
 
 class PmacNode(LockstepNode):
-    """Position controller of all three axes."""
+    """Position controller of all axes."""
 
     def __init__(self, **node_options: Any) -> None:
         """Declare the I-variables, compile the servo, load the first experiment."""
         super().__init__(
             'pmac',
-            {ENCODERS_TOPIC: ALL_ENCODERS},
+            (ENCODERS_TOPIC,),
             (CURRENT_COMMAND, SERVO_STATE),
             **node_options,
         )
-        settings = {axis: self.declare_settings(axis, axis_parameters(axis)) for axis in AXES}
-        self._model_parameters = servo_parameters(settings, 'pmac')
+        axes = self.layout.axes
+        settings = {
+            axis: self.declare_settings(axis, axis_parameters(axis, self.layout)) for axis in axes
+        }
+        self._model_parameters = servo_parameters(settings, 'pmac', self.layout)
         self._model_state = servo.initial_state(self._model_parameters)
-        self._current = np.zeros(len(AXES))
+        self._current = np.zeros(len(axes))
         self._cycle = 0
         self._primed = False
         self._experiment = self.declare_fixed(
@@ -132,8 +131,11 @@ class PmacNode(LockstepNode):
         )
         self._units = parse_units(
             self.declare_fixed(
-                'units', units_text(), 'm or rad of each axis, in which it is commanded'
-            )
+                'units',
+                units_text(usual_units(self.layout)),
+                'm or rad of each axis, in which it is commanded',
+            ),
+            self.layout,
         )
         self._tables = compensation.load_tables(
             self.declare_fixed(
@@ -141,9 +143,9 @@ class PmacNode(LockstepNode):
             ),
             self._units,
         )
-        self._motion = self._load(self._experiment, np.zeros(len(AXES)))
-        self._counts_before = np.zeros(len(ENCODERS), np.int64)
-        self._killed = KilledMotors()
+        self._motion = self._load(self._experiment, np.zeros(len(axes)))
+        self._counts_before = np.zeros(len(self.layout.encoders), np.int64)
+        self._killed = KilledMotors(self.layout)
         self._warm_up()
         self.add_post_set_parameters_callback(self._apply_parameters)
         self._goal: Any = None
@@ -216,8 +218,8 @@ class PmacNode(LockstepNode):
             self._end_goal('the plant has begun anew')
         self._cycle = 0
         self._primed = False
-        self._killed = KilledMotors()
-        self._motion = self._load(self._experiment, np.zeros(len(AXES)))
+        self._killed = KilledMotors(self.layout)
+        self._motion = self._load(self._experiment, np.zeros_like(self._current))
 
     def _servo_cycle(self, tick: int, counts: np.ndarray) -> None:
         if not self._primed:
@@ -233,11 +235,11 @@ class PmacNode(LockstepNode):
         self._model_state['offset'][0] = self._motion.offset(self._cycle)
         servo.step(self._model_state, self._model_parameters, counts, commanded, self._current)
         state = self._model_state[0]
-        self.give(CURRENT_COMMAND, tick, ALL_AXES, self._current.tolist())
+        self.give(CURRENT_COMMAND, tick, self.layout.all_axes, self._current.tolist())
         self.give(
             SERVO_STATE,
             tick,
-            ALL_AXES,
+            self.layout.all_axes,
             [
                 *state['commanded_position'].tolist(),
                 *state['following_error'].tolist(),
@@ -289,6 +291,7 @@ class PmacNode(LockstepNode):
             motion.start + motion.positions,
             self._model_parameters,
             self.timing.servo_hz,
+            self.layout,
         )
 
     def _consider(self, request: Any) -> GoalResponse:
@@ -357,19 +360,23 @@ class PmacNode(LockstepNode):
     def _apply_parameters(self, parameters: Sequence[RosParameter]) -> None:
         for parameter in parameters:
             axis, _, name = parameter.name.partition('.')
-            if axis in AXES:
+            if axis in self.layout.axes:
                 change_parameter(
-                    self._model_parameters, axis, name, parameter.value, loop_closed=True
+                    self._model_parameters,
+                    axis,
+                    name,
+                    parameter.value,
+                    loop_closed=True,
+                    layout=self.layout,
                 )
 
     def _warm_up(self) -> None:
         """Compile before the first message, so that no peer waits for the compiler."""
         state = servo.initial_state(self._model_parameters)
         counts = self.inboxes[ENCODERS_TOPIC].values.copy()
-        servo.prime(state, self._model_parameters, counts, np.zeros(len(AXES)))
-        servo.step(
-            state, self._model_parameters, counts, np.zeros(len(AXES)), self._current.copy()
-        )
+        still = np.zeros_like(self._current)
+        servo.prime(state, self._model_parameters, counts, still)
+        servo.step(state, self._model_parameters, counts, still, self._current.copy())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

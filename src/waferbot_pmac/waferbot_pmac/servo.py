@@ -52,13 +52,15 @@ their fault, where the controller checks in the background, some milliseconds la
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.layout import MOST_ENCODERS
 from waferbot_pmac.i_variables import (
     LONGEST_COMMAND_DELAY,
-    SERVO_PARAMETERS,
+    servo_parameter_dtype,
     servo_parameters,
 )
 
@@ -70,16 +72,14 @@ __all__ = [
     'MOTOR_KILLED',
     'MOVING',
     'OUTPUT_LIMITED',
-    'SERVO_PARAMETERS',
-    'SERVO_STATE',
     'WARNING_FOLLOWING_ERROR',
     'initial_state',
     'prime',
+    'servo_parameter_dtype',
     'servo_parameters',
+    'servo_state_dtype',
     'step',
 ]
-
-MOTORS = len(AXES)
 
 # Bits of `flags`, as in waferbot_msgs/msg/ServoState
 OUTPUT_LIMITED = 1
@@ -105,48 +105,57 @@ KILL_SCOPE_MASK = 3
 KILL_ONLY_THIS = 2  # and 3
 INTEGRATOR_IN_VELOCITY_LOOP = 2  # bit 1 of Ixx96
 
-SERVO_STATE = np.dtype(
-    [
-        # what the ServoState message reports
-        ('commanded_position', 'f8', (MOTORS,)),  # counts
-        ('following_error', 'f8', (MOTORS,)),  # counts, before Ixx67 and the deadband
-        ('output', 'f8', (MOTORS,)),  # DAC units, after Ixx69
-        ('integrator', 'f8', (MOTORS,)),  # counts, as it enters the proportional gain
-        ('flags', 'u1', (MOTORS,)),
-        # status beyond the message
-        ('in_position', 'u1', (MOTORS,)),  # closed, not moving, and within Ixx28
-        ('killed', 'u1', (MOTORS,)),
-        ('faults', 'u1', (MOTORS,)),  # latched flags of what killed the motor
-        # memory of the law, in register units
-        ('previous_command', 'f8', (MOTORS,)),
-        ('previous_command_velocity', 'f8', (MOTORS,)),
-        ('previous_velocity_feedback', 'f8', (MOTORS,)),
-        ('integrator_register', 'f8', (MOTORS,)),  # sum of Ixx33 times error registers
-        # notch, DAC units: its input and output one and two cycles ago
-        ('notch_input', 'f8', (MOTORS, 2)),
-        ('notch_output', 'f8', (MOTORS, 2)),
-        ('current_integral', 'f8', (MOTORS,)),  # of the I2T protection, in units of Ixx58
-        ('interrupts_to_wait', 'i8', (MOTORS,)),  # until the next cycle of this motor (Ixx60)
-        ('filtered_feedback', 'f8', (MOTORS, 2)),  # counts: of the position, the velocity encoder
-        # DAC units: results that wait to go out, the newest at place 0; none if `delaying` is 0
-        ('waiting_output', 'f8', (MOTORS, LONGEST_COMMAND_DELAY)),
-        ('delaying', 'u1', (MOTORS,)),
-        # DAC units, set from outside before a cycle: what is added to the output beside Ixx29
-        ('offset', 'f8', (MOTORS,)),
-    ],
-    align=True,
-)
+
+@functools.cache
+def servo_state_dtype(motors: int) -> np.dtype:
+    """Return the dtype of what the servo of so many motors remembers: fields of shape (motors, ...)."""
+    return np.dtype(
+        [
+            # what the ServoState message reports
+            ('commanded_position', 'f8', (motors,)),  # counts
+            ('following_error', 'f8', (motors,)),  # counts, before Ixx67 and the deadband
+            ('output', 'f8', (motors,)),  # DAC units, after Ixx69
+            ('integrator', 'f8', (motors,)),  # counts, as it enters the proportional gain
+            ('flags', 'u1', (motors,)),
+            # status beyond the message
+            ('in_position', 'u1', (motors,)),  # closed, not moving, and within Ixx28
+            ('killed', 'u1', (motors,)),
+            ('faults', 'u1', (motors,)),  # latched flags of what killed the motor
+            # memory of the law, in register units
+            ('previous_command', 'f8', (motors,)),
+            ('previous_command_velocity', 'f8', (motors,)),
+            ('previous_velocity_feedback', 'f8', (motors,)),
+            ('integrator_register', 'f8', (motors,)),  # sum of Ixx33 times error registers
+            # notch, DAC units: its input and output one and two cycles ago
+            ('notch_input', 'f8', (motors, 2)),
+            ('notch_output', 'f8', (motors, 2)),
+            ('current_integral', 'f8', (motors,)),  # of the I2T protection, in units of Ixx58
+            ('interrupts_to_wait', 'i8', (motors,)),  # until the next cycle of this motor (Ixx60)
+            (
+                'filtered_feedback',
+                'f8',
+                (motors, 2),
+            ),  # counts: of the position, the velocity encoder
+            # DAC units: results that wait to go out, the newest at place 0; none if `delaying` is 0
+            ('waiting_output', 'f8', (motors, LONGEST_COMMAND_DELAY)),
+            ('delaying', 'u1', (motors,)),
+            # DAC units, set from outside before a cycle: what is added to the output beside Ixx29
+            ('offset', 'f8', (motors,)),
+        ],
+        align=True,
+    )
 
 
 def initial_state(parameters: np.ndarray) -> np.ndarray:
     """
-    Return a state, shape (1,), of `SERVO_STATE` with all loops closed at count zero.
+    Return a state (`servo_state_dtype`, shape (1,)) with all loops closed at count zero.
 
-    Call `prime` with the first counts before the first `step`. `parameters` is the
-    `SERVO_PARAMETERS` array that the state will be used with.
+    Call `prime` with the first counts before the first `step`. `parameters` is the array that the state
+    will be used with.
     """
-    state = np.zeros(1, SERVO_STATE)
-    prime(state, parameters, np.zeros(4, np.int64), np.zeros(MOTORS))
+    motors = len(parameters['Ixx03'][0])
+    state = np.zeros(1, servo_state_dtype(motors))
+    prime(state, parameters, np.zeros(MOST_ENCODERS, np.int64), np.zeros(motors))
     return state
 
 
@@ -158,12 +167,12 @@ def prime(state, parameters, counts, commanded_position):
     Commanded and actual velocity start at zero, so the first cycle has no derivative or
     feedforward kick; integrator, notch, faults and current protection are cleared.
 
-    state: SERVO_STATE (1,); parameters: SERVO_PARAMETERS (1,); counts: int64 (4,), places of the
-    encoders; commanded_position: float64 (3,), counts of each motor's position encoder.
+    state, parameters: (1,), with places for n motors; counts: int64 (encoders,), places of the
+    encoders; commanded_position: float64 (n,), counts of each motor's position encoder.
     """
     s = state[0]
     p = parameters[0]
-    for i in range(MOTORS):
+    for i in range(len(p['Ixx03'])):
         scale = REGISTERS_PER_COUNT * p['Ixx08'][i]
         command = np.floor(commanded_position[i] * scale + 0.5)
         s['previous_command'][i] = command
@@ -196,10 +205,10 @@ def step(state, parameters, counts, commanded_position, current):
     """
     Run one servo interrupt for all motors.
 
-    state: SERVO_STATE (1,), advanced in place. parameters: SERVO_PARAMETERS (1,).
-    counts: int64 (4,), newest counts, in the order of the contract's encoders.
-    commanded_position: float64 (3,), counts of each motor's position encoder, fractions allowed.
-    current: float64 (3,), out, A (peak of the sine in a line), positive drives forward; zero for a
+    state: (1,), with places for n motors, advanced in place. parameters: (1,), likewise.
+    counts: int64 (encoders,), newest counts, in the order of the machine's encoders.
+    commanded_position: float64 (n,), counts of each motor's position encoder, fractions allowed.
+    current: float64 (n,), out, A (peak of the sine in a line), positive drives forward; zero for a
     killed motor. It is the DAC units times `amplifier_peak_current` / 32768.
 
     A motor is killed by its fatal following error (Ixx11), a full integrator with Ixx63 < 0, or
@@ -209,7 +218,7 @@ def step(state, parameters, counts, commanded_position, current):
     s = state[0]
     p = parameters[0]
     kill_all = False
-    for i in range(MOTORS):
+    for i in range(len(p['Ixx03'])):
         position_counts = _feedback(s, p, i, 0, counts[p['Ixx03'][i]])
         velocity_counts = _feedback(s, p, i, 1, counts[p['Ixx04'][i]])
         if s['interrupts_to_wait'][i] > 0:
@@ -222,7 +231,7 @@ def step(state, parameters, counts, commanded_position, current):
             s['killed'][i] = 1
             if (p['Ixx24'][i] >> KILL_SCOPE_SHIFT) & KILL_SCOPE_MASK < KILL_ONLY_THIS:
                 kill_all = True
-    for i in range(MOTORS):
+    for i in range(len(p['Ixx03'])):
         if kill_all or s['killed'][i] != 0:
             _kill(s, i)
         current[i] = _delayed_output(s, p, i) * p['amplifier_peak_current'][i] / DAC_RANGE

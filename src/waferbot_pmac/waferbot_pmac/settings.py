@@ -9,8 +9,8 @@ file with a section for the node `pmac`; sections for other nodes are passed ove
       ros__parameters:
         y_linear: {Ixx30: 6400, Ixx31: 1600}
 
-A listing holds what one would send to the controller. Motor 1 is `y_linear`, 2 `x_rotate`, 3
-`y_rotate`:
+A listing holds what one would send to the controller. Motors are the machine's axes in their order, on
+the shipped one 1 `y_linear`, 2 `x_rotate`, 3 `y_rotate`:
 
     I130=6400 I131=$640     ; several on a line, hexadecimal with $, comments after ; or //
     I133..135=0             ; I133, I134, I135
@@ -21,22 +21,21 @@ A listing holds what one would send to the controller. Motor 1 is `y_linear`, 2 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.marked_yaml import Document, Key, parse
 from waferbot_lockstep.parameters import Parameter, Value, check_value, did_you_mean
-from waferbot_pmac.i_variables import axis_parameters
+from waferbot_pmac.i_variables import FEEDBACK, axis_parameters
 
 SettingsOfAxes = dict[str, dict[str, Value]]
 
 LARGEST_I_VARIABLE = 8191
 LARGEST_MOTOR = 32
-FEEDBACK_ADDRESSES = ('Ixx03', 'Ixx04')
 
 
 @dataclass(frozen=True)
@@ -60,9 +59,13 @@ class Listing:
     problems: list[Problem] = field(default_factory=list)
 
 
-def load_settings(path: str | Path, encoder_addresses: Mapping[int, int] | None = None) -> Listing:
+def load_settings(
+    path: str | Path,
+    encoder_addresses: Mapping[int, int] | None = None,
+    layout: Layout = SHIPPED,
+) -> Listing:
     """
-    Read a settings file: YAML if it is called `*.yaml` or `*.yml`, else a listing.
+    Read a settings file of a machine: YAML if it is called `*.yaml` or `*.yml`, else a listing.
 
     Raises `UserError` with file, line and key for a file that cannot be read and for any mistake
     in YAML. In a listing, statements that are unknown or out of range are collected in `problems`
@@ -74,11 +77,11 @@ def load_settings(path: str | Path, encoder_addresses: Mapping[int, int] | None 
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f'settings {str(path)!r} cannot be read: {error}') from error
     if Path(path).suffix in ('.yaml', '.yml'):
-        return Listing(parse_yaml(text, str(path)))
-    return parse_listing(text, encoder_addresses)
+        return Listing(parse_yaml(text, str(path), layout))
+    return parse_listing(text, encoder_addresses, layout)
 
 
-def parse_yaml(text: str, source: str) -> SettingsOfAxes:
+def parse_yaml(text: str, source: str, layout: Layout = SHIPPED) -> SettingsOfAxes:
     """Return the settings of YAML text; raises `UserError` with source, line and key."""
     document = parse(text, source)
     sections = _mapping(document, (), document.data)
@@ -91,13 +94,13 @@ def parse_yaml(text: str, source: str) -> SettingsOfAxes:
         if set(content) != {'ros__parameters'}:
             raise UserError(f'{document.where((section,))} must have the one key ros__parameters')
         for axis, values in _mapping(document, path, content['ros__parameters']).items():
-            if axis in AXES:
+            if axis in layout.axes:
                 values = _mapping(document, (*path, axis), values)
-                settings[axis] = _checked(document, (*path, axis), axis, values)
+                settings[axis] = _checked(document, (*path, axis), axis, values, layout)
     if not settings:
         raise UserError(
             f'{source}: no settings found; they stand under /**/pmac, ros__parameters and the '
-            f'name of an axis ({", ".join(AXES)})'
+            f'name of an axis ({", ".join(layout.axes)})'
         )
     return settings
 
@@ -109,9 +112,9 @@ def _mapping(document: Document, path: Key, value: Any) -> dict[Any, Any]:
 
 
 def _checked(
-    document: Document, path: Key, axis: str, values: Mapping[Any, object]
+    document: Document, path: Key, axis: str, values: Mapping[Any, object], layout: Layout
 ) -> dict[str, Value]:
-    known = {parameter.name: parameter for parameter in axis_parameters(axis)}
+    known = {parameter.name: parameter for parameter in axis_parameters(axis, layout)}
     checked = {}
     for name, value in values.items():
         inner = (*path, name)
@@ -133,7 +136,11 @@ _DECIMAL = re.compile(r'[+-]?(\d+\.?\d*|\.\d+)')
 _HEXADECIMAL = re.compile(r'([+-]?)\$([0-9a-fA-F]+)')
 
 
-def parse_listing(text: str, encoder_addresses: Mapping[int, int] | None = None) -> Listing:
+def parse_listing(
+    text: str,
+    encoder_addresses: Mapping[int, int] | None = None,
+    layout: Layout = SHIPPED,
+) -> Listing:
     """
     Read the assignments to I-variables out of a listing.
 
@@ -144,7 +151,7 @@ def parse_listing(text: str, encoder_addresses: Mapping[int, int] | None = None)
 
     Ixx03 and Ixx04 hold addresses of the controller's encoder conversion table. Which encoder is
     behind an address only its owner knows: `encoder_addresses` maps address -> place of the
-    encoder in the contract. The places 0 to 3 themselves are understood as well.
+    encoder in `layout`. The places themselves are understood as well.
     """
     listing = Listing()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -153,7 +160,7 @@ def parse_listing(text: str, encoder_addresses: Mapping[int, int] | None = None)
         for match in _ASSIGNMENT.finditer(statement):
             _report_unknown(listing, number, statement[end : match.start()])
             end = match.end()
-            _assign(listing, number, match, encoder_addresses or {})
+            _assign(listing, number, match, encoder_addresses or {}, layout)
         _report_unknown(listing, number, statement[end:])
     return listing
 
@@ -166,7 +173,11 @@ def _report_unknown(listing: Listing, line: int, text: str) -> None:
 
 
 def _assign(
-    listing: Listing, line: int, match: re.Match[str], encoder_addresses: Mapping[int, int]
+    listing: Listing,
+    line: int,
+    match: re.Match[str],
+    encoder_addresses: Mapping[int, int],
+    layout: Layout,
 ) -> None:
     text = match.group().strip()
     try:
@@ -178,8 +189,8 @@ def _assign(
     reasons = []
     for number in numbers:
         try:
-            axis, parameter = _meaning(number)
-            checked = _value(axis, parameter, value, encoder_addresses)
+            axis, parameter = _meaning(number, layout)
+            checked = _value(axis, parameter, value, encoder_addresses, layout)
         except UserError as error:
             reasons.append(str(error))
         else:
@@ -194,12 +205,13 @@ def _value(
     parameter: Parameter,
     value: int | float | None,
     encoder_addresses: Mapping[int, int],
+    layout: Layout,
 ) -> Value:
     """Return the checked value of one variable; None stands for its default."""
     if value is None:
         return parameter.default
-    if parameter.name in FEEDBACK_ADDRESSES:
-        value = _encoder(value, encoder_addresses)
+    if parameter.name in FEEDBACK:
+        value = _encoder(value, encoder_addresses, layout.encoders)
     return check_value(parameter, value, axis)
 
 
@@ -232,26 +244,31 @@ def _numbers(match: re.Match[str]) -> Iterable[int]:
     return numbers
 
 
-def _meaning(number: int) -> tuple[str, Parameter]:
+def _meaning(number: int, layout: Layout) -> tuple[str, Parameter]:
     """Return axis and declaration of an I-variable."""
     motor, index = divmod(number, 100)
     if not 1 <= motor <= LARGEST_MOTOR:
         raise UserError(f'I{number} belongs to no motor; it is not used here')
-    if motor > len(AXES):
-        raise UserError(f'motor {motor} is not used here; motors 1 to 3 are {", ".join(AXES)}')
-    axis = AXES[motor - 1]
-    for parameter in axis_parameters(axis):
+    axes = layout.axes
+    if motor > len(axes):
+        raise UserError(
+            f'motor {motor} is not used here; motors 1 to {len(axes)} are {", ".join(axes)}'
+        )
+    axis = axes[motor - 1]
+    for parameter in axis_parameters(axis, layout):
         if parameter.name == f'Ixx{index:02d}':
             return axis, parameter
     raise UserError(f'Ixx{index:02d} is not part of this servo; it is not used here')
 
 
-def _encoder(value: int | float, encoder_addresses: Mapping[int, int]) -> int | float:
+def _encoder(
+    value: int | float, encoder_addresses: Mapping[int, int], encoders: Sequence[str]
+) -> int | float:
     if value in encoder_addresses:
         return encoder_addresses[int(value)]
-    if 0 <= value < len(ENCODERS):
+    if 0 <= value < len(encoders):
         return value
     raise UserError(
         f'${int(value):X} is an address of the encoder conversion table; say which encoder it is '
-        f'({", ".join(f"{place} {name}" for place, name in enumerate(ENCODERS))})'
+        f'({", ".join(f"{place} {name}" for place, name in enumerate(encoders))})'
     )

@@ -23,6 +23,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
+from waferbot_lockstep.node_settings import MACHINE_AXES, MACHINE_ENCODERS
 from waferbot_lockstep.package_data import package_data
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
@@ -64,9 +65,10 @@ def make_nodes(context):
         raise RuntimeError(f'{", ".join(lacking)} not installed: sudo apt install {packages}')
     parameters = load_model(argument['model']).parameters
     machine = parameters['plant'].get('description', 'rigid')
-    robot = {
-        'robot_description': with_ros2_control(urdf(load_machine(machine).description)),
-    }
+    description = load_machine(machine).description
+    layout = description.layout
+    named = {MACHINE_AXES: list(layout.axes), MACHINE_ENCODERS: list(layout.encoders)}
+    robot = {'robot_description': with_ros2_control(urdf(description), layout.axes)}
     shipped = package_data('waferbot_twin', 'config', 'ros2_control', 'controllers.yaml')
     controllers = str(Path(argument['controllers'] or shipped))
     real_time = {'timekeeping': 'realtime'}
@@ -86,7 +88,7 @@ def make_nodes(context):
             executable='copley',
             name='copley',
             output='screen',
-            parameters=[parameters['copley'], real_time],
+            parameters=[parameters['copley'], real_time, named],
         ),
         Node(
             package='waferbot_twin',

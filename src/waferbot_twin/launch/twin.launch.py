@@ -29,7 +29,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchDescription
-from waferbot_lockstep.contract import AXES, RECORDER_WINDOW
+from waferbot_lockstep.contract import RECORDER_WINDOW
+from waferbot_lockstep.node_settings import MACHINE_AXES, MACHINE_ENCODERS
 from waferbot_plant.plant import load_machine
 from waferbot_plant.urdf import urdf
 from waferbot_pmac.user_units import units_text
@@ -50,7 +51,7 @@ ARGUMENTS = (
         'copley_per_axis',
         default_value='false',
         choices=['true', 'false'],
-        description='three Copley nodes, one for each axis, instead of one for all',
+        description='a Copley node for each axis, instead of one for all',
     ),
     DeclareLaunchArgument(
         'without',
@@ -94,6 +95,8 @@ def make_nodes(context):
     parameters = load_model(argument['model']).parameters
     common = {'timekeeping': argument['timekeeping']}
     machine = load_machine(parameters['plant'].get('description', 'rigid'))
+    layout = machine.layout
+    named = {MACHINE_AXES: list(layout.axes), MACHINE_ENCODERS: list(layout.encoders)}
     nodes = {
         'plant': (
             'plant',
@@ -106,14 +109,15 @@ def make_nodes(context):
             {
                 'experiment': argument['experiment'],
                 'units': units_text(machine.description.axis_units),
+                **named,
             },
         ),
     }
     if argument['copley_per_axis'] == 'true':
-        for axis in AXES:
-            nodes[f'copley_{axis}'] = ('copley', parameters['copley'], {'axes': [axis]})
+        for axis in layout.axes:
+            nodes[f'copley_{axis}'] = ('copley', parameters['copley'], {'axes': [axis], **named})
     else:
-        nodes['copley'] = ('copley', parameters['copley'], {})
+        nodes['copley'] = ('copley', parameters['copley'], named)
     if argument['record']:
         nodes['plant'][2]['start_paused'] = True  # the recorder lets time go
     if argument['record'] and argument['timekeeping'] == 'lockstep':

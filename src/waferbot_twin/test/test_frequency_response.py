@@ -9,6 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete, freqz, lfilter, ss2tf
 
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.assembly import home_mass_matrix_and_weight
 from waferbot_pmac import trajectories
@@ -379,14 +380,14 @@ def test_a_gap_is_not_bridged():
 
 
 def test_channels_are_named_by_kind_or_axis_and_kind():
-    assert parse_channel('position', 'x_rotate') == Channel('x_rotate', 'position')
-    assert parse_channel('y_linear.acceleration', 'x_rotate') == Channel(
+    assert parse_channel('position', 'x_rotate', AXES) == Channel('x_rotate', 'position')
+    assert parse_channel('y_linear.acceleration', 'x_rotate', AXES) == Channel(
         'y_linear', 'acceleration'
     )
     with pytest.raises(UserError, match="no signal 'positon'; did you mean 'position'"):
-        parse_channel('positon', 'x_rotate')
+        parse_channel('positon', 'x_rotate', AXES)
     with pytest.raises(UserError, match="no axis 'z'"):
-        parse_channel('z.position', 'x_rotate')
+        parse_channel('z.position', 'x_rotate', AXES)
 
 
 def test_the_axis_is_the_one_that_was_commanded():

@@ -37,7 +37,7 @@ WRONG = [
     ('unit: deg', 'unit: dge', 7, "no unit 'dge'; did you mean 'deg'"),
     ('unit: mNm', 'unit: A', 11, 'wrong unit: A is for current, but force'),
     ('unit: mNm', 'unit: counts', 11, 'wrong unit: force has none in counts'),
-    ('axis: y_rotate', 'axis: z_rotate', 6, 'must be one of y_linear, x_rotate, y_rotate'),
+    ('axis: y_rotate', 'axis: z_rotate', 6, "no axis 'z_rotate'; did you mean 'y_rotate'"),
     ('column: 2', 'colum: 2', 4, "unknown key; did you mean 'column'"),
     ('column: 2', 'column: 0', 4, 'must be'),
     ('unit: s}', 'unit: hours}', 2, 'must be one of s, ms'),

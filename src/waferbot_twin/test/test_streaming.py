@@ -12,6 +12,7 @@ from mcap.reader import make_reader
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import CONTRACT_TOPICS, PHASE_CURRENTS
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.cli.info import describe
 from waferbot_twin.cli.main import main
@@ -96,7 +97,7 @@ def test_many_messages_are_accounted_for_as_one_by_one(random) -> None:
             ticks = np.sort(ticks[random.uniform(size=len(ticks)) > 0.3])
             if random.uniform() < 0.3:
                 random.shuffle(ticks)
-            valid = random.integers(0, topic.all_places + 1, len(ticks)).astype(np.uint8)
+            valid = random.integers(0, topic.all_places(SHIPPED) + 1, len(ticks)).astype(np.uint8)
             for tick, mask in zip(ticks.tolist(), valid.tolist(), strict=True):
                 one.is_new(tick, mask)
             for part in np.array_split(np.arange(len(ticks)), 3):

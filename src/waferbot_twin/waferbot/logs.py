@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 
 from waferbot.model import Model
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.logs.bags import is_bag
 from waferbot_twin.logs.hold import evidence
 from waferbot_twin.logs.load import import_log as import_measured
@@ -57,7 +56,7 @@ class Log:
         time_s = np.arange(len(record.reading)) / record.timing.encoder_hz
         columns: dict[str, np.ndarray] = {}
         units: dict[str, str] = {}
-        for place, name in enumerate(ENCODERS):
+        for place, name in enumerate(description.layout.encoders):
             if name not in description.encoders:
                 continue
             encoder = description.encoders[name]
@@ -66,7 +65,7 @@ class Log:
         if record.commanded is not None:
             servo_s = np.arange(len(record.commanded)) / record.timing.servo_hz
             held = np.clip(np.searchsorted(servo_s, time_s, side='right') - 1, 0, None)
-            for place, axis in enumerate(AXES):
+            for place, axis in enumerate(description.layout.axes):
                 encoder_name = description.position_encoder(axis)
                 if encoder_name in units and axis in model.axes:
                     per_unit = description.encoders[encoder_name].counts_per_unit

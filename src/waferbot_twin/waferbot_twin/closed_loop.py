@@ -24,7 +24,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import motors
 from waferbot_plant.modes import damping_matrix, stiffness_at
@@ -62,7 +62,11 @@ class SampledPlant:
 
 @dataclass(frozen=True, eq=False)
 class ServoLaw:
-    """The servo: x(k+1) = A x(k) + B y(k), u(k) = C x(k) + D y(k); y counts (4,), u in A (3,)."""
+    """
+    The servo: x(k+1) = A x(k) + B y(k), u(k) = C x(k) + D y(k).
+
+    y are the counts of the encoders, u the currents of the axes, A.
+    """
 
     state: Matrix
     input: Matrix
@@ -75,7 +79,8 @@ def loop_modes(machine: Machine, servo: np.void, timing: Timing) -> list[LoopMod
     Return the modes of a machine under a servo (its `SERVO_PARAMETERS` record), fastest growth
     first.
     """
-    return modes_of(closed(sampled_plant(machine, timing), servo_law(servo)), timing)
+    law = servo_law(servo, len(machine.layout.encoders))
+    return modes_of(closed(sampled_plant(machine, timing), law), timing)
 
 
 def modes_of(cycle: Matrix, timing: Timing) -> list[LoopMode]:
@@ -133,8 +138,9 @@ def sampled_plant(
         )
         return np.linalg.matrix_power(over_encoder_cycle, count), held @ from_command
 
-    size = states + len(ENCODERS)
-    state, command = np.zeros((size, size)), np.zeros((size, len(AXES)))
+    encoders = len(read)
+    size = states + encoders
+    state, command = np.zeros((size, size)), np.zeros((size, from_command.shape[1]))
     for rows, reading, count in (
         (slice(0, states), np.eye(states), steps),
         (slice(states, size), read, seen_after),
@@ -142,20 +148,20 @@ def sampled_plant(
         by_itself, by_command = after(count)
         state[rows, :states] = reading @ by_itself
         command[rows] = reading @ by_command
-    output = np.zeros((len(ENCODERS), size))
-    output[:, states:] = np.eye(len(ENCODERS))
+    output = np.zeros((encoders, size))
+    output[:, states:] = np.eye(encoders)
     return SampledPlant(state, command, output)
 
 
-def servo_law(servo: np.void) -> ServoLaw:
+def servo_law(servo: np.void, encoders: int = len(SHIPPED.encoders)) -> ServoLaw:
     """
-    Return the servo of all three axes, from its `SERVO_PARAMETERS` record.
+    Return the servo of all axes from its record of parameters, of a machine with so many encoders.
 
     An axis' state is its filtered position and velocity feedback of the cycle before (counts), the sum
     of its following errors (counts), and what waits in notch and command delay (A). Limits, deadband
     and a longer cycle (Ixx60) are left out.
     """
-    laws = [_axis_law(servo, axis) for axis in range(len(AXES))]
+    laws = [_axis_law(servo, axis, encoders) for axis in range(len(servo['Ixx03']))]
     return ServoLaw(
         scipy.linalg.block_diag(*(law.state for law in laws)),
         np.vstack([law.input for law in laws]),
@@ -170,14 +176,14 @@ def servo_gain(servo: np.void, axis: int) -> float:
     return 2.0**-19 * float(servo['Ixx30'][axis]) * amperes
 
 
-def _axis_law(servo: np.void, axis: int) -> ServoLaw:
+def _axis_law(servo: np.void, axis: int, encoders: int) -> ServoLaw:
     """Return the servo of one axis."""
     gain = servo_gain(servo, axis)
     proportional = gain * servo['Ixx08'][axis]
     derivative = gain * servo['Ixx31'][axis] * servo['Ixx09'][axis] / 128.0
     integral = proportional * servo['Ixx33'][axis] / 2.0**23
     keeps = servo['feedback_filter'][axis] / (1.0 + servo['feedback_filter'][axis])
-    position, velocity = np.zeros(len(ENCODERS)), np.zeros(len(ENCODERS))
+    position, velocity = np.zeros(encoders), np.zeros(encoders)
     position[int(servo['Ixx03'][axis])] = 1.0 - keeps
     velocity[int(servo['Ixx04'][axis])] = 1.0 - keeps
 
@@ -228,31 +234,33 @@ def _over_encoder_cycle(
     size = len(machine.coordinates)
     mass = np.zeros((size, size))
     mass_matrix(state, parameters, mass)
-    force = np.zeros((size, len(AXES)))
-    for place, axis in enumerate(AXES):
+    axes = len(machine.layout.axes)
+    force = np.zeros((size, axes))
+    for place, axis in enumerate(machine.layout.axes):
         if axis in machine.description.motors:
             motor = machine.description.motors[axis]
             row, ratio = machine.assembly.placing[motor.coordinate]
             force[row, place] = ratio * motors.force_constant(motor)
     # The amplifier corrects the share 2 pi f dt of its error in a tick: a lag with this rate.
     lag = -np.log(1.0 - 2.0 * np.pi * CURRENT_LOOP_HZ * timing.tick_s) / timing.tick_s
-    states = 2 * size + 3
-    rates = np.zeros((states + 3, states + 3))
+    states = 2 * size + axes
+    rates = np.zeros((states + axes, states + axes))
     rates[:size, size : 2 * size] = np.eye(size)
     stiffness = stiffness_at(machine, state, parameters)
     rates[size : 2 * size, :size] = -np.linalg.solve(mass, stiffness)
     rates[size : 2 * size, size : 2 * size] = -np.linalg.solve(mass, damping_matrix(machine))
     rates[size : 2 * size, 2 * size : states] = np.linalg.solve(mass, force)
-    rates[2 * size : states, 2 * size : states] = -lag * np.eye(3)
-    rates[2 * size : states, states:] = lag * np.eye(3)
+    rates[2 * size : states, 2 * size : states] = -lag * np.eye(axes)
+    rates[2 * size : states, states:] = lag * np.eye(axes)
     held = scipy.linalg.expm(rates * timing.tick_s * timing.encoder_divider)
     return held[:states, :states], held[:states, states:]
 
 
 def _encoder_matrix(machine: Machine, states: int) -> Matrix:
-    """Return counts (4) from [z, z', currents]."""
-    read = np.zeros((len(ENCODERS), states))
-    for place, name in enumerate(ENCODERS):
+    """Return counts (encoders,) from [z, z', currents]."""
+    layout = machine.layout
+    read = np.zeros((len(layout.encoders), states))
+    for place, name in enumerate(layout.encoders):
         if name in machine.description.encoders:
             encoder = machine.description.encoders[name]
             column, ratio = machine.assembly.placing[encoder.coordinate]

@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from waferbot_copley.faults import DISABLING, SAFE_TORQUE_OFF, describe
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.killed import KilledMotors
 
@@ -32,9 +32,14 @@ class Failures:
     killed: KilledMotors = field(default_factory=KilledMotors)
     faults: dict[str, tuple[int, int]] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, timing: Timing, layout: Layout = SHIPPED) -> Failures:
+        """Begin with nothing found, of a machine with these axes."""
+        return cls(timing, KilledMotors(layout))
+
     def note_faults(self, tick: int, valid: int, faults: Sequence[float] | np.ndarray) -> None:
-        """Look at the faults (3,) that a message of the amplifiers gives for the axes in `valid`."""
-        for place, axis in enumerate(AXES):
+        """Look at the faults (axes,) that a message of the amplifiers gives for the axes in `valid`."""
+        for place, axis in enumerate(self.killed.layout.axes):
             if valid >> place & 1 and int(faults[place]) & FAILING:
                 self.faults.setdefault(axis, (tick, int(faults[place])))
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +28,16 @@ import yaml
 
 from waferbot_copley.node_settings import COPLEY_PARAMETERS
 from waferbot_copley.settings import settings_of
-from waferbot_lockstep.contract import AXES, USUAL_TITLES
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED as SHIPPED_LAYOUT
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.marked_yaml import Document, Key, parse, read
 from waferbot_lockstep.node_settings import NODE_PARAMETERS
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import Parameter, did_you_mean
 from waferbot_plant.description import Description
-from waferbot_plant.description_file import load_description
+from waferbot_plant.description_file import described_layout, load_description
 from waferbot_plant.node_settings import PLANT_PARAMETERS
 from waferbot_plant.plant import description_names, description_source
 from waferbot_pmac.compensation import Table, load_tables, read_text
@@ -55,7 +58,7 @@ _OF_NODE: dict[str, tuple[str, ...]] = {
     'pmac': ('experiment', 'compensation'),
     'copley': COPLEY_PARAMETERS,
 }
-_OF_AXIS: dict[str, Callable[[str], Iterable[Parameter]]] = {
+_OF_AXIS: dict[str, Callable[[str, Layout], Iterable[Parameter]]] = {
     'pmac': axis_parameters,
     'copley': settings_of,
 }
@@ -83,6 +86,11 @@ class Model:
     def description(self) -> str:
         """The machine: name, path or text of its description."""
         return str(self.parameters['plant'].get('description', 'rigid'))
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The axes and encoders of the machine; raises `UserError`."""
+        return described_layout(description_source(self.description))
 
     @property
     def axis_units(self) -> dict[str, str]:
@@ -112,7 +120,7 @@ class Model:
 
     def of_axes(self, node: str) -> dict[str, dict[str, Any]]:
         """Return the settings per axis of a node, without those that are not an axis'."""
-        return {axis: self.parameters[node].get(axis, {}) for axis in AXES}
+        return {axis: self.parameters[node].get(axis, {}) for axis in self.layout.axes}
 
 
 def models_folder() -> Path:
@@ -143,8 +151,12 @@ def load_model(name_or_path: str) -> Model:
                 f'(shipped: {", ".join(names)}; or give a YAML file)'
             )
     parameters: dict[str, dict[str, Any]] = {node: {} for node in NODES}
-    for file in (*base_files(), path):
-        for node, section in _sections(read(file)).items():
+    document = read(path)
+    layout = _layout_in(document)
+    # Settings of the packages are those of the axes of the shipped machine.
+    base = [read(file) for file in base_files()] if layout == SHIPPED_LAYOUT else []
+    for one in (*base, document):
+        for node, section in _sections(one, layout).items():
             _lay_over(parameters[node], section)
     _take_in_compensation(parameters['pmac'], path.parent)
     return Model(path.stem, path, parameters)
@@ -182,7 +194,11 @@ def recorded_model(recording: Recording) -> Model:
     if text is None:
         raise UserError(f'{recording.path} does not hold its model; give --model')
     where = recording.path / 'model.yaml'
-    sections = _sections(parse(text, str(where)))
+    if 'machine.yaml' in recording.attachments:
+        layout = described_layout(recording.attachments['machine.yaml'])
+    else:
+        layout = SHIPPED_LAYOUT
+    sections = _sections(parse(text, str(where)), layout)
     parameters = {node: sections.get(node, {}) for node in NODES}
     if 'machine.yaml' in recording.attachments:
         # The machine as it was then; a file of that name may have changed since.
@@ -208,8 +224,19 @@ def base_files() -> tuple[Path, ...]:
     )
 
 
-def _sections(document: Document) -> dict[str, dict[str, Any]]:
-    """Return the parameters of each node in a ROS 2 parameter file."""
+def _layout_in(document: Document) -> Layout:
+    """Return the axes and encoders of the machine that a model names; raises `UserError`."""
+    sections = document.data if isinstance(document.data, dict) else {}
+    named = 'rigid'
+    for key, section in sections.items():
+        inner = section.get('ros__parameters') if isinstance(section, dict) else None
+        if str(key).rsplit('/', 1)[-1] == 'plant' and isinstance(inner, dict):
+            named = str(inner.get('description', named))
+    return described_layout(description_source(named))
+
+
+def _sections(document: Document, layout: Layout) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node in a ROS 2 parameter file, for a machine with these axes."""
     if not isinstance(document.data, dict):
         raise UserError(
             f'{document.place()}: a model is a ROS 2 parameter file with sections per node'
@@ -218,7 +245,9 @@ def _sections(document: Document) -> dict[str, dict[str, Any]]:
     for key, section in document.data.items():
         node = str(key).rsplit('/', 1)[-1]
         if node not in NODES:
-            raise UserError(f'{document.place((key,))}: {_no_section(document, key, node)}')
+            raise UserError(
+                f'{document.place((key,))}: {_no_section(document, key, node, layout)}'
+            )
         if not isinstance(section, dict) or set(section) != {'ros__parameters'}:
             raise UserError(
                 f'{document.place((key,))}: section {key!r} must have the one key ros__parameters'
@@ -227,11 +256,11 @@ def _sections(document: Document) -> dict[str, dict[str, Any]]:
         if not isinstance(parameters, dict):
             raise document.error((key, 'ros__parameters'), 'must be a mapping of names to values')
         place = (key, 'ros__parameters')
-        _lay_over(sections.setdefault(node, {}), _known(document, place, node, parameters))
+        _lay_over(sections.setdefault(node, {}), _known(document, place, node, parameters, layout))
     return sections
 
 
-def _no_section(document: Document, key: str, node: str) -> str:
+def _no_section(document: Document, key: str, node: str, layout: Layout) -> str:
     """Return what is wrong with a section of a model that is for no node."""
     if not DESCRIPTION_KEYS.isdisjoint(document.data):
         return (
@@ -240,7 +269,7 @@ def _no_section(document: Document, key: str, node: str) -> str:
         )
     wrong = f'section {key!r} is for no node of the twin (nodes: {", ".join(NODES)})'
     for owner in NODES:
-        inner = (*_OF_NODE[owner], *(AXES if owner in _OF_AXIS else ()))
+        inner = (*_OF_NODE[owner], *(layout.axes if owner in _OF_AXIS else ()))
         near = ';' if key in inner else did_you_mean(key, inner)
         if near:
             return f'{wrong}{near} It stands below /**/{owner}: ros__parameters:'
@@ -248,14 +277,14 @@ def _no_section(document: Document, key: str, node: str) -> str:
 
 
 def _known(
-    document: Document, place: Key, node: str, parameters: Mapping[str, Any]
+    document: Document, place: Key, node: str, parameters: Mapping[str, Any], layout: Layout
 ) -> dict[str, Any]:
     """
     Return parameters of a node, mapping by mapping; `y_linear.Ixx30: 1` is what ROS takes, too.
 
     Raises `UserError` for a name that the node does not have.
     """
-    axes = AXES if node in _OF_AXIS else ()
+    axes = layout.axes if node in _OF_AXIS else ()
     nested: dict[str, Any] = {}
     for name, value in parameters.items():
         axis, dot, inner = name.partition('.')
@@ -270,7 +299,7 @@ def _known(
         settings = {inner: value} if dot else value
         if not isinstance(settings, dict):
             raise document.error((*place, name), 'must be a mapping of names to values')
-        settings_known = [setting.name for setting in _OF_AXIS[node](axis)]
+        settings_known = [setting.name for setting in _OF_AXIS[node](axis, layout)]
         for setting in settings:
             if setting not in settings_known:
                 raise document.error(

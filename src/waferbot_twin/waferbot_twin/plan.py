@@ -50,6 +50,8 @@ class Plan:
             'ticks': self.ticks,
             'seed': self.seed,
             'timing': dataclasses.asdict(self.timing),
+            'axes': list(self.model.layout.axes),
+            'encoders': list(self.model.layout.encoders),
             'without': list(without),
             'versions': versions(),
         }

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import yaml
 
-from waferbot_lockstep.contract import AXES
 from waferbot_plant.description import LAGRANGE, MULTIBODY
 from waferbot_plant.description_file import whole_text
 from waferbot_plant.plant import description_source, load_machine
@@ -64,8 +63,9 @@ def plant_differences(plan: Plan) -> list[Difference]:
         Twin.of(one.model, one.timing, one.experiment) for one in (plan, multibody_plan(plan))
     ]
     servo, units = twins[0].servo_parameters[0], twins[0].machine.description.axis_units
-    largest, squares = np.zeros(len(AXES), np.int64), np.zeros(len(AXES))
-    low, high = np.full(len(AXES), np.inf), np.full(len(AXES), -np.inf)
+    axes = twins[0].layout.axes
+    largest, squares = np.zeros(len(axes), np.int64), np.zeros(len(axes))
+    low, high = np.full(len(axes), np.inf), np.full(len(axes), -np.inf)
     samples = 0
     places = servo['Ixx03']
     while twins[0].tick < plan.ticks:
@@ -89,5 +89,5 @@ def plant_differences(plan: Plan) -> list[Difference]:
             int(largest[place]),
             float((high[place] - low[place]) * per_count[place]),
         )
-        for place, axis in enumerate(AXES)
+        for place, axis in enumerate(axes)
     ]

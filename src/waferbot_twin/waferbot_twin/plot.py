@@ -21,7 +21,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.html_page import save_drawing, set_title
 from waferbot_twin.models import recorded_titles
 from waferbot_twin.recording.reader import Progress, header_of
@@ -32,6 +31,10 @@ from waferbot_twin.validity import OUTSIDE, recorded_validity
 
 COMMAND_COLOUR, MEASURED_COLOUR, ERROR_COLOUR = '#999999', '#1f5fa8', '#b5401f'
 DIRECTION_COLOURS = ('#b5401f', '#3a9150', '#1f5fa8')
+AXIS_COLOURS = (*DIRECTION_COLOURS, '#8a5fa8', '#c58a1f', '#2f9aa0', '#6b6b6b', '#a03060')
+OF_PLANT = 3
+"""Panels of what the plant tells: error and tilt of the payload, temperatures."""
+
 MOST_DRAWN = 4000
 """Samples of a line, an envelope if there are more: eight for each column of a panel."""
 
@@ -61,10 +64,11 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
     header = header_of(path)
     run, titles = header.run, recorded_titles(header)
     rows = 4 if told else 3
+    columns = max(len(responses), OF_PLANT if told else 1)
     figure, panels = plt.subplots(
         rows,
-        len(responses),
-        figsize=(4.6 * len(responses), 8.0 * rows / 3.0),
+        columns,
+        figsize=(4.6 * columns, 8.0 * rows / 3.0),
         sharex='col',
         squeeze=False,
     )
@@ -73,8 +77,13 @@ def plot_recording(path: Path, file: Path, progress: Progress | None = None) -> 
         _draw_position(panels[0][column], response)
         _draw_error(panels[1][column], response)
         _draw_current(panels[2][column], response)
+    for panel in panels[:3, len(responses) :].flat:
+        panel.set_axis_off()
     if told:
-        _draw_plant_state(panels[3], np.concatenate(told), header.timing.current_loop_hz, titles)
+        tick_hz = header.timing.current_loop_hz
+        _draw_plant_state(list(panels[3, :OF_PLANT]), np.concatenate(told), tick_hz, titles)
+        for panel in panels[3, OF_PLANT:]:
+            panel.set_axis_off()
     for panel in panels[-1]:
         panel.set_xlabel('time [s]')
     title = f'model {run.get("model", "?")}, experiment {run.get("experiment", "?")}'
@@ -116,9 +125,9 @@ def _draw_plant_state(
                 panel, time_s, told[name][:, place] * factor, DIRECTION_COLOURS[place], label, 1.0
             )
         panel.set_ylabel(f'{what} [{scaled}]')
-    for place, axis in enumerate(AXES):
+    for place, title in enumerate(titles.values()):
         values = told['winding_temperature'][:, place]
-        _line(panels[2], time_s, values, DIRECTION_COLOURS[place], titles[axis], 1.0)
+        _line(panels[2], time_s, values, AXIS_COLOURS[place], title, 1.0)
     panels[2].set_ylabel('windings [degC]')
     for panel in panels:
         panel.legend(loc='upper right', fontsize=8)

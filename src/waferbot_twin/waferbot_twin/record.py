@@ -75,9 +75,10 @@ def record(options: argparse.Namespace, arguments: Sequence[str]) -> str:
             recorder = Recorder(
                 writer,
                 plan.timing,
-                reported(without),
+                reported(without, plan.model.layout),
                 clock_needed=lockstep and 'plant' not in without,
                 validity=validity,
+                layout=plan.model.layout,
             )
         stack.callback(recorder.destroy_node)
         executor = make_executor()

@@ -29,6 +29,7 @@ from waferbot_lockstep.contract import (
     Topic,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_plant import plant
 from waferbot_pmac import compensation, servo
 from waferbot_pmac.experiments import load_experiment
@@ -78,9 +79,11 @@ class Difference:
         return asdict(self)
 
 
-def compare(topic: Topic, recorded: np.ndarray, replayed: np.ndarray) -> list[Difference]:
+def compare(
+    topic: Topic, recorded: np.ndarray, replayed: np.ndarray, layout: Layout = SHIPPED
+) -> list[Difference]:
     """
-    Compare two structured arrays of one topic, tick by tick, place by place.
+    Compare two structured arrays of one topic of a machine, tick by tick, place by place.
 
     Only ticks that both have are compared; raises `UserError` if there is none.
     """
@@ -91,7 +94,7 @@ def compare(topic: Topic, recorded: np.ndarray, replayed: np.ndarray) -> list[Di
     if len(ticks) == 0:
         raise UserError(f'topic {topic.name}: recorded and replayed ticks have nothing in common')
     differences = []
-    for place, place_name in enumerate(topic.places):
+    for place, place_name in enumerate(topic.places(layout)):
         columns = slice(place * topic.width, (place + 1) * topic.width)
         one = replayed[name][mine][:, columns].astype(np.float64)
         other = recorded[name][theirs][:, columns].astype(np.float64)
@@ -117,15 +120,17 @@ def replay_in_process(recording: Recording, model: Model, node: str) -> list[Dif
     return [
         difference
         for topic in OUTPUTS[node]
-        for difference in compare(topic, recording[topic], replayed[topic])
+        for difference in compare(topic, recording[topic], replayed[topic], recording.layout)
     ]
 
 
 def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topic, np.ndarray]:
     """Return what the block puts out for the recorded inputs, as arrays like the recorded ones."""
     timing = recording.timing
+    recording.check_machine(model.layout)
     check_inputs(recording, node)
     twin = Twin.of(model, timing, load_experiment('constant'))
+    axes, encoders = len(twin.layout.axes), len(twin.layout.encoders)
     outputs = {}
 
     def put(topic: Topic, ticks: np.ndarray, values: np.ndarray) -> None:
@@ -134,8 +139,8 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
     if node == 'plant':
         voltages = np.ascontiguousarray(recording[PHASE_VOLTAGES]['voltage'])
         ticks = len(voltages)
-        counts = np.zeros((timing.messages(ticks, timing.encoder_divider), 4), np.int64)
-        currents = np.zeros((ticks, 6))
+        counts = np.zeros((timing.messages(ticks, timing.encoder_divider), encoders), np.int64)
+        currents = np.zeros((ticks, 2 * axes))
         _replay_plant(
             twin.plant_state,
             twin.plant_parameters,
@@ -149,23 +154,24 @@ def replayed_outputs(recording: Recording, model: Model, node: str) -> dict[Topi
         put(ENCODERS_TOPIC, every[:: timing.encoder_divider], counts)
         put(PHASE_CURRENTS, every, currents)
     elif node == 'pmac':
-        encoders, state = recording[ENCODERS_TOPIC], recording[SERVO_STATE]
-        rows = np.searchsorted(encoders['tick'], state['tick'])
-        counts = np.ascontiguousarray(encoders['counts'][rows])
+        read, state = recording[ENCODERS_TOPIC], recording[SERVO_STATE]
+        rows = np.searchsorted(read['tick'], state['tick'])
+        counts = np.ascontiguousarray(read['counts'][rows])
         commanded = np.ascontiguousarray(state['commanded_position'])
-        currents = np.zeros((len(counts), 3))
+        currents = np.zeros((len(counts), axes))
         offsets = compensation.offsets(
             model.compensation,
             str(recording.run.get('experiment', '')),
             commanded,
             twin.servo_parameters,
             timing.servo_hz,
+            twin.layout,
         )
         replay_servo(twin.servo_state, twin.servo_parameters, counts, commanded, offsets, currents)
         put(CURRENT_COMMAND, state['tick'], currents)
     else:
         measured = recording[PHASE_CURRENTS]
-        voltages = np.zeros((len(measured), 9))
+        voltages = np.zeros((len(measured), 3 * axes))
         _replay_amplifier(
             twin.amplifier_state,
             twin.amplifier_parameters,
@@ -220,8 +226,8 @@ def _held(array: np.ndarray, name: str, ticks: np.ndarray) -> np.ndarray:
 def _replay_plant(
     state, parameters, voltages, open_bridges, encoder_divider, counts_out, current_out
 ):
-    """Drive the plant by voltages (n, 9); fill counts and line currents (n, 6) as measured."""
-    counts = np.zeros(4, np.int64)
+    """Drive the plant by voltages (n, 3 axes); fill counts and line currents as measured."""
+    counts = np.zeros(counts_out.shape[1], np.int64)
     for tick in range(voltages.shape[0]):
         plant.measure(state, parameters, tick, counts, current_out[tick])
         if tick % encoder_divider == 0:
@@ -233,25 +239,26 @@ def _replay_plant(
 @compiled
 def replay_servo(state, parameters, counts, commanded, offsets, current_out):
     """
-    Drive the servo by counts (n, 4) and commanded positions (n, 3); fill commands (n, 3).
+    Drive the servo by counts (n, encoders), commanded positions (n, axes); fill commands (n, axes).
 
-    `offsets` (n, 3), DAC units, are what compensation tables add.
+    `offsets` (n, axes), DAC units, are what compensation tables add.
     """
     servo.prime(state, parameters, counts[0], commanded[0])
     for cycle in range(counts.shape[0]):
-        for axis in range(3):
+        for axis in range(offsets.shape[1]):
             state[0]['offset'][axis] = offsets[cycle, axis]
         servo.step(state, parameters, counts[cycle], commanded[cycle], current_out[cycle])
 
 
 @compiled
 def _replay_amplifier(state, parameters, command, line_current, counts, voltage_out):
-    """Drive the amplifiers by commands (n, 3), line currents (n, 6), counts (n, 4)."""
+    """Drive the amplifiers by commands (n, axes), line currents (n, 2 axes), counts (n, encoders)."""
+    all_axes = (1 << command.shape[1]) - 1
     for tick in range(line_current.shape[0]):
         amplifier.step(
             state,
             parameters,
-            7,
+            all_axes,
             command[tick],
             line_current[tick],
             counts[tick],

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.commutation import driving_part, electrical_angle, three_lines
 from waferbot_twin.engines.inprocess import Signals, Twin
@@ -118,7 +117,7 @@ def rms_difference(one: AxisResponse, other: AxisResponse) -> float:
 
 
 def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
-    """Return the three axes of what an in-process twin has just run, without recording it."""
+    """Return the axes of what an in-process twin has just run, without recording it."""
     commanded, following_error = np.split(signals.servo_state, 5, axis=1)[:2]
     timing = signals.timing
     encoders = (np.array(signals.encoder_ticks), signals.counts)
@@ -126,7 +125,7 @@ def simulated_responses(twin: Twin, signals: Signals) -> list[AxisResponse]:
     servo_ticks = np.array(signals.servo_ticks)
     currents = [
         driving_current(ticks, signals.line_current, axis, twin.amplifier_parameters[0], encoders)
-        for axis in range(len(AXES))
+        for axis in range(len(twin.layout.axes))
     ]
     return responses_of(
         timing,
@@ -149,7 +148,7 @@ def responses_of(
     currents: Sequence[tuple[np.ndarray, np.ndarray]],
 ) -> list[AxisResponse]:
     """
-    Return the three axes.
+    Return the axes.
 
     `encoders`, `servo_state` and `current_command` are ticks and values of those topics, `currents` of
     each axis times in s and the part that makes force, A; `servo` the settings that were used, `units`
@@ -159,7 +158,7 @@ def responses_of(
     servo_tick, commanded, following_error = servo_state
     delay_s = timing.encoder_divider * timing.tick_s
     responses = []
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(units):
         per_unit = servo['counts_per_unit'][place]
         encoder = int(servo['Ixx03'][place])
         responses.append(
@@ -189,8 +188,8 @@ def driving_current(
     """
     Return 2/3 sum_k i_k sin(theta - 2 pi (k - 1) / 3) in A, from the two measured lines of an axis.
 
-    `line_current` (n, 6) at `ticks` (n,). theta is the electrical angle that the amplifier uses: newest
-    counts of `encoders` (ticks, counts), held between messages.
+    `line_current` (n, 2 axes) at `ticks` (n,). theta is the electrical angle that the amplifier uses:
+    newest counts of `encoders` (ticks, counts), held between messages.
     """
     theta = electrical_angle(ticks, axis, amplifier, encoders)
     return driving_part(three_lines(line_current, axis), theta)

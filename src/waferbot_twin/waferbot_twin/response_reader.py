@@ -12,7 +12,6 @@ import numpy as np
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import (
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
@@ -86,10 +85,13 @@ class _Gathered:
         model, where = recorded_model(header), str(header.path)
         self._timing = header.timing
         self._units = model.axis_units
-        self._servo = servo_parameters(model.of_axes('pmac'), where)[0]
-        self._amplifier = amplifier_parameters(model.of_axes('copley'), self._timing, where)[0]
+        layout = model.layout
+        self._servo = servo_parameters(model.of_axes('pmac'), where, layout)[0]
+        self._amplifier = amplifier_parameters(
+            model.of_axes('copley'), self._timing, where, layout
+        )[0]
         self._parts: dict[Topic, list[np.ndarray]] = {topic: [] for topic in self.FIELDS}
-        self._currents = [Thinned(most_currents) for _ in AXES]
+        self._currents = [Thinned(most_currents) for _ in layout.axes]
         self._waiting: list[np.ndarray] = []
         self._seen: list[np.ndarray] = []
 

@@ -27,6 +27,7 @@ from waferbot_lockstep.contract import (
     CONTRACT_TOPICS,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
+    MACHINE_AXES_TOPIC,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
     PLANT_STATE,
@@ -95,12 +96,13 @@ class Role:
 
 _EVERYBODY_SAYS = ('/rosout', '/parameter_events')
 _DIAGNOSTICS = '/diagnostics'
-_STANDARD = tuple(name for name, _ in (CLOCK, JOINT_STATES, PLANT_STATE, ROBOT_DESCRIPTION))
+_STANDARD = (CLOCK[0], JOINT_STATES[0], PLANT_STATE.name, ROBOT_DESCRIPTION[0])
 _FRAMES = tuple(name for name, _ in (TRANSFORMS, FIXED_TRANSFORMS))
 _TOLD = (
     *(topic.name for topic in CONTRACT_TOPICS),
     *_STANDARD,
     *_FRAMES,
+    MACHINE_AXES_TOPIC,
     RECORDED_TOPIC,
     STOP_TOPIC,
     _DIAGNOSTICS,
@@ -125,7 +127,7 @@ ROLES: Mapping[str, Role] = {
     'plant': Role(
         'the machine: gives counts and currents',
         ('plant',),
-        (*_of('plant'), *_STANDARD, _DIAGNOSTICS, STOP_TOPIC),
+        (*_of('plant'), *_STANDARD, MACHINE_AXES_TOPIC, _DIAGNOSTICS, STOP_TOPIC),
         (PHASE_VOLTAGES.name, RECORDED_TOPIC, STOP_TOPIC),
         _below(('plant',), (PAUSE, *SIMULATOR)),
     ),
@@ -133,14 +135,17 @@ ROLES: Mapping[str, Role] = {
         'the position controller, ours or yours: commands currents',
         ('pmac',),
         (*_of('pmac'), _DIAGNOSTICS, STOP_TOPIC),
-        (ENCODERS_TOPIC.name, STOP_TOPIC),
+        (ENCODERS_TOPIC.name, MACHINE_AXES_TOPIC, STOP_TOPIC),
         executes=(EXPERIMENT,),
     ),
     'copley': Role(
         'the amplifiers, ours or yours: give voltages',
         COPLEYS,
         (*_of('copley'), _DIAGNOSTICS, STOP_TOPIC),
-        (PHASE_CURRENTS.name, ENCODERS_TOPIC.name, CURRENT_COMMAND.name, STOP_TOPIC),
+        (
+            *(PHASE_CURRENTS.name, ENCODERS_TOPIC.name, CURRENT_COMMAND.name),
+            *(MACHINE_AXES_TOPIC, STOP_TOPIC),
+        ),
         _below(COPLEYS, AMPLIFIER),
     ),
     'recorder': Role(

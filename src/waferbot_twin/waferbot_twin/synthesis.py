@@ -23,7 +23,6 @@ from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
     CONTRACT_TOPICS,
     CURRENT_COMMAND,
-    ENCODERS,
     PHASE_CURRENTS,
     PHASE_VOLTAGES,
     SERVO_STATE,
@@ -110,7 +109,7 @@ def noise(variant: Variant, level: float, seed: int, random: np.random.Generator
     }
     encoders = {
         place: {'noise_counts': level * ENCODER_NOISE_COUNTS, 'noise_seed': seed}
-        for place in ENCODERS
+        for place in variant.layout.encoders
         if place in variant.description.encoders
     }
     sensors = {
@@ -162,9 +161,16 @@ def synthesize(
     left_out = [topic for name in without for topic in LEFT_OUT[name]]
     topics = [topic for topic in CONTRACT_TOPICS if topic not in left_out]
     twin = Twin.of(variant.model(), timing, loaded)
-    run = {'engine': 'machine', 'ticks': ticks, 'timing': dataclasses.asdict(timing)}
+    layout = twin.layout
+    run = {
+        'engine': 'machine',
+        'ticks': ticks,
+        'timing': dataclasses.asdict(timing),
+        'axes': list(layout.axes),
+        'encoders': list(layout.encoders),
+    }
     with RecordingWriter(out, {'run.json': as_json(run)}, force) as writer:
-        recorder = SignalRecorder(writer, timing, topics, standard_topics=False)
+        recorder = SignalRecorder(writer, timing, topics, standard_topics=False, layout=layout)
         while twin.tick < ticks:
             recorder.write(twin.advance(min(CHUNK_TICKS, ticks - twin.tick)))
             progress(twin.tick, ticks)

@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping
 
-from waferbot_lockstep.contract import AXES
 
-_AXIS = re.compile(rf'\b({"|".join(AXES)})\b(\.(?=[a-z]))?')
+@functools.cache
+def _pattern(axes: tuple[str, ...]) -> re.Pattern[str]:
+    """Return what finds one of these axes."""
+    return re.compile(rf'\b({"|".join(axes)})\b(\.(?=[a-z]))?')
 
 
 def with_titles(text: str, titles: Mapping[str, str]) -> str:
@@ -18,4 +21,5 @@ def with_titles(text: str, titles: Mapping[str, str]) -> str:
 
     Names that only contain one (`step_y_linear`) stay as they are.
     """
-    return _AXIS.sub(lambda found: titles[found[1]] + (' ' if found[2] else ''), text)
+    pattern = _pattern(tuple(titles))
+    return pattern.sub(lambda found: titles[found[1]] + (' ' if found[2] else ''), text)

@@ -24,7 +24,6 @@ import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.loads import Loads, fields
 from waferbot_plant.plant import Machine, load_machine
@@ -65,11 +64,13 @@ class Validity:
     def __init__(self, model: Model, timing: Timing, machine: Machine | None = None) -> None:
         """Find what can be watched; `machine` is the model's, if it is loaded already."""
         self._timing = timing
-        self._watch = Watch(machine or _machine_of(model, timing))
-        servo = servo_parameters(model.of_axes('pmac'), str(model.path))[0]
+        machine = machine or _machine_of(model, timing)
+        self._watch = Watch(machine)
+        self._axes = machine.layout.axes
+        servo = servo_parameters(model.of_axes('pmac'), str(model.path), machine.layout)[0]
         copley = model.of_axes('copley')
         self._commands = []
-        for place, axis in enumerate(AXES):
+        for place, axis in enumerate(self._axes):
             limit = (
                 float(servo['Ixx69'][place] * servo['amplifier_peak_current'][place]) / DAC_RANGE
             )
@@ -86,20 +87,20 @@ class Validity:
                     )
                 )
             )
-        self._i2t: list[Extremes | None] = [None] * len(AXES)
+        self._i2t: list[Extremes | None] = [None] * len(self._axes)
 
     def note_loads(self, loads: Loads) -> None:
         """Take in what the plant tells of its parts."""
         self._watch.note(loads)
 
     def note_commands(self, tick: np.ndarray, current: np.ndarray) -> None:
-        """Take in current commands (n, 3), A, at ticks (n,)."""
+        """Take in current commands (n, axes), A, at ticks (n,)."""
         magnitude = np.abs(current)
         for place, extremes in enumerate(self._commands):
             extremes.note(tick, magnitude[:, place], magnitude[:, place])
 
     def note_command(self, tick: int, valid: int, current: Sequence[float]) -> None:
-        """Take in one command (3,), of the axes in `valid`; cheap where it is nothing new."""
+        """Take in one command (axes,), of the axes in `valid`; cheap where it is nothing new."""
         for place, extremes in enumerate(self._commands):
             value = abs(current[place])
             if valid >> place & 1 and (value > extremes.high or value < extremes.low):
@@ -108,8 +109,8 @@ class Validity:
     def note_amplifiers(
         self, tick: np.ndarray, valid: np.ndarray, accumulator: np.ndarray, setpoint: np.ndarray
     ) -> None:
-        """Take in I2T accumulators and set points (n, 3), A2 s, of the axes in `valid` (n,)."""
-        for place, axis in enumerate(AXES):
+        """Take in I2T accumulators and set points (n, axes), A2 s, of the axes in `valid` (n,)."""
+        for place, axis in enumerate(self._axes):
             own = np.flatnonzero(np.asarray(valid) >> place & 1)
             if len(own) == 0:
                 continue

@@ -17,9 +17,11 @@ Stable while the step is short beside L/R and the loops' time constants: 56 us b
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_plant.motors import DELTA, MOTORS, NONE, winding_phases
+from waferbot_plant.motors import DELTA, NONE, winding_phases
 
 from .dynamics import forward_dynamics, generalised_forces, motor_angle
+
+MOTORS = 3  # of the one machine whose equations these are
 
 _CURRENT = 6
 _ENERGY = _CURRENT + 3 * MOTORS

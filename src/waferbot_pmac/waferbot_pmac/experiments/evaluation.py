@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, USUAL_UNITS
+from waferbot_lockstep.contract import USUAL_UNITS
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac import trajectories
 from waferbot_pmac.experiments.loading import LENGTH_UNITS, Experiment, Motion
@@ -32,7 +32,7 @@ def commanded_positions(
     units: Units = USUAL_UNITS,
 ) -> Floats:
     """
-    Return the commanded positions, float64 of shape (cycles, 3), in counts of each position
+    Return the commanded positions, float64 of shape (cycles, axes), in counts of each position
     encoder.
 
     Row k belongs to the servo cycle k / `servo_rate_hz` seconds after the start; there are
@@ -40,10 +40,11 @@ def commanded_positions(
     commanded positions at the start, zero for an axis that is not named. Steps and random
     positions are whole counts, moves and sines have fractions, as on the controller.
 
-    `parameters` is a `SERVO_PARAMETERS` array: counts per unit, velocity and acceleration limits;
-    `units` says of each axis whether it is measured in m or in rad. Raises `UserError` with file, line
-    and key for what cannot be commanded: a length in another unit, a move that is not over by the end,
-    a velocity that overflows the controller's register, a frequency above half the servo rate.
+    `parameters` are those of the servo: counts per unit, velocity and acceleration limits;
+    `units` says of each axis of the machine whether it is measured in m or in rad. Raises `UserError`
+    with file, line and key for what cannot be commanded: a length in another unit, a move that is not
+    over by the end, a velocity that overflows the controller's register, a frequency above half the
+    servo rate.
     """
     check_units(experiment, units)
     times = trajectories.cycle_times(experiment.duration_s, servo_rate_hz)
@@ -52,22 +53,21 @@ def commanded_positions(
             f'{experiment.document.where(("duration_s",))} is shorter than one servo cycle, '
             f'{1.0 / servo_rate_hz:.6g} s'
         )
-    result = np.zeros((times.size, len(AXES)))
-    for axis, motions in experiment.motion.items():
-        for motion in motions:
-            evaluation = _Motion(experiment, axis, motion, parameters, servo_rate_hz)
-            result[:, AXES.index(axis)] += evaluation.positions(times)
+    motors = [_Motor(parameters, place, axis) for place, axis in enumerate(units)]
+    result = np.zeros((times.size, len(motors)))
+    for place, motor in enumerate(motors):
+        for motion in experiment.motion.get(motor.axis, ()):
+            evaluation = _Motion(experiment, motor, motion, servo_rate_hz)
+            result[:, place] += evaluation.positions(times)
     if experiment.program:
-        _Program(experiment, parameters).run(times, result)
+        _Program(experiment, motors).run(times, result)
     return result
 
 
 class _Motor:
     """The limits of one motor, in counts and seconds."""
 
-    def __init__(self, parameters: np.ndarray, axis: str) -> None:
-        place = AXES.index(axis)
-
+    def __init__(self, parameters: np.ndarray, place: int, axis: str) -> None:
         def setting(name: str) -> float:
             return float(parameters[name][0, place])
 
@@ -120,15 +120,14 @@ class _Motion:
     def __init__(
         self,
         experiment: Experiment,
-        axis: str,
+        motor: _Motor,
         motion: Motion,
-        parameters: np.ndarray,
         servo_rate_hz: float,
     ) -> None:
         self.path = motion.path
         self.experiment = experiment
         self.motion = motion.values
-        self.motor = _Motor(parameters, axis)
+        self.motor = motor
         self.servo_rate_hz = servo_rate_hz
         self.start_s = float(motion.values.get('start_s', 0.0))
 
@@ -303,10 +302,10 @@ def _check_end(where: str, experiment: Experiment, end_s: float) -> None:
 class _Program:
     """Statements one after another, as in a motion program: moves of all axes together."""
 
-    def __init__(self, experiment: Experiment, parameters: np.ndarray) -> None:
+    def __init__(self, experiment: Experiment, motors: list[_Motor]) -> None:
         self.experiment = experiment
-        self.motors = [_Motor(parameters, axis) for axis in AXES]
-        self.position: Floats = np.zeros(len(AXES))
+        self.motors = motors
+        self.position: Floats = np.zeros(len(motors))
         self.time_s = 0.0
 
     def run(self, times: Floats, result: Floats) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import Any
 
 import jsonschema
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.marked_yaml import Document, Key, first_complaint, parse
 from waferbot_lockstep.package_data import package_data
@@ -49,7 +49,8 @@ class Experiment:
     One checked experiment.
 
     Exactly one of `motion` (axis -> motions that are added) and `program` (statements) is not empty;
-    their keys are those of the schema. `text` is the YAML it was read from, to be recorded with a run.
+    their keys are those of the schema. Whether the machine has such axes is for `check_units`. `text` is
+    the YAML it was read from, to be recorded with a run.
     """
 
     name: str
@@ -133,6 +134,12 @@ def _explained(error: jsonschema.ValidationError, document: Document) -> str:
     value: Any = error.validator_value
     instance: Any = error.instance
     schema: Any = error.schema
+    if error.validator == 'additionalProperties' and 'patternProperties' in schema:
+        pattern = next(iter(schema['patternProperties']))
+        key = next(key for key in instance if not re.search(pattern, str(key)))
+        return f'{document.where((*path, key))} is no name of an axis' + (
+            ' with _m, _rad or _counts behind it' if 'counts' in pattern else ''
+        )
     if error.validator == 'additionalProperties':
         known = schema['properties']
         key = next(key for key in instance if key not in known)
@@ -225,9 +232,11 @@ def _check_statement(document: Document, place: int, statement: Mapping[str, Any
                 raise UserError(f'{document.where((*path, key))} belongs to a linear move')
     for mode in ('linear', 'rapid'):
         targets = statement.get(mode, {})
-        for axis in AXES:
-            keys = [key for key in targets if key.startswith(axis)]
-            if len(keys) > 1:
+        given: dict[str, str] = {}
+        for key in targets:
+            axis = key.rpartition('_')[0]
+            if axis in given:
                 raise UserError(
-                    f'{document.where((*path, mode, keys[1]))}: {keys[0]} is given as well'
+                    f'{document.where((*path, mode, key))}: {given[axis]} is given as well'
                 )
+            given[axis] = key

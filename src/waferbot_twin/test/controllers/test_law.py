@@ -32,7 +32,7 @@ def outputs_of(one, commanded, position, integral=0.0, controllers=None):
     output = np.zeros((len(commanded), 3))
     start = np.array([0.0, integral, 0.0])
     parameters = law.law_parameters(controllers or {AXIS: one})
-    law.replay(law.initial_state(), parameters, *paths, NOTHING, start, output)
+    law.replay(law.initial_state(parameters), parameters, *paths, NOTHING, start, output)
     return output[:, PLACE]
 
 
@@ -152,7 +152,7 @@ def test_a_motion_can_begin_at_speed(random) -> None:
     output = np.zeros((50, 3))
     speed = np.array([0.0, 2.0, 0.0])
     parameters = law.law_parameters({AXIS: one})
-    law.replay(law.initial_state(), parameters, path, path, speed, NOTHING, output)
+    law.replay(law.initial_state(parameters), parameters, path, path, speed, NOTHING, output)
     assert output[:, PLACE] == pytest.approx(0.5)
 
 

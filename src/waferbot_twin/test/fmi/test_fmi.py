@@ -17,11 +17,12 @@ from fmpy.validation import validate_fmu
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.foreign_plant import ForeignPlant
+from waferbot_plant.signals import counts, lines, positions, terminals, voltages
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Twin
-from waferbot_twin.fmi.blocks import BLOCKS, COUNTS, LINES, OPEN, VOLTAGES, positions
+from waferbot_twin.fmi.blocks import BLOCKS
 from waferbot_twin.fmi.export import export
 from waferbot_twin.models import load_model
 from waferbot_twin.recording.reader import read_recording
@@ -85,21 +86,21 @@ def test_its_description_has_units_and_parameters(fmu, fmi):
 def test_recorded_voltages_give_the_recorded_signals(fmu, run, fmi):
     """FMPy's own simulation, driven by what the amplifiers put out."""
     ticks = len(run.voltage)
-    names = [variable.name for variable in (*VOLTAGES, *OPEN)]
+    names = [variable.name for variable in (*voltages(), *terminals())]
     data = np.zeros(ticks, [('time', 'f8'), *((name, 'f8') for name in names)])
     data['time'] = np.arange(ticks) * TIMING.tick_s
-    for place, variable in enumerate(VOLTAGES):
+    for place, variable in enumerate(voltages()):
         data[variable.name] = run.voltage[:, place]
-    outputs = [variable.name for variable in (*COUNTS, *LINES, *positions())]
+    outputs = [variable.name for variable in (*counts(), *lines(), *positions())]
     found = fmpy.simulate_fmu(
         str(fmu('plant', fmi)), stop_time=(ticks - 1) * TIMING.tick_s, input=data, output=outputs,
         output_interval=TIMING.tick_s, step_size=TIMING.tick_s, validate=False,
     )  # fmt: skip
     assert len(found) == ticks
-    for place, variable in enumerate(LINES):
+    for place, variable in enumerate(lines()):
         mine, theirs = found[variable.name][:ticks], run.line_current[:, place]
         assert np.abs(mine - theirs).max() <= 1e-12 * np.abs(theirs).max()
-    for place, variable in enumerate(COUNTS):
+    for place, variable in enumerate(counts()):
         np.testing.assert_array_equal(found[variable.name][::2], run.counts[:, place])
 
 

@@ -18,14 +18,14 @@ import yaml
 
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.foreign_plant import ForeignPlant
-from waferbot_plant.signals import COUNTS, LINES, VOLTAGES, positions
+from waferbot_plant.signals import counts, lines, positions, voltages
 from waferbot_twin.cli.main import main
 from waferbot_twin.recording.reader import read_recording
 
 FOLDER = Path(os.environ.get('WAFERBOT_REFERENCE_FMUS', 'nowhere'))
 TIMING = Timing()
-NOTHING = {variable.name: None for variable in VOLTAGES} | {
-    variable.name: 0 for variable in (*COUNTS, *LINES)
+NOTHING = {variable.name: None for variable in voltages()} | {
+    variable.name: 0 for variable in (*counts(), *lines())
 }
 
 pytestmark = pytest.mark.skipif(

@@ -22,7 +22,7 @@ def drive(value, hold=''):
 
 def path_of(signal, ticks, per_unit=1.0):
     edges_s = TICK_S * np.arange(ticks + 1)
-    return with_signal(no_path(ticks + 1), 0, signal, edges_s, per_unit), edges_s
+    return with_signal(no_path(ticks + 1, 3), 0, signal, edges_s, per_unit), edges_s
 
 
 def early(time_s):
@@ -87,7 +87,7 @@ def test_what_is_held_or_in_a_gap_has_no_path():
     time_s = STEP_S * np.concatenate([np.arange(40), 400.0 + np.arange(40)])
     gap = Signal('current', 'x_rotate', 'A', time_s, value)
     edges_s = TICK_S * np.arange(439 * TICKS + 1)
-    path = with_signal(no_path(len(edges_s)), 0, gap, edges_s, 1.0)
+    path = with_signal(no_path(len(edges_s), 3), 0, gap, edges_s, 1.0)
     change = path.earlier_by(early(3e-4), TICK_S)[:, 0]
     assert not change[39 * TICKS : 400 * TICKS].any()
     assert change[: 39 * TICKS].any()

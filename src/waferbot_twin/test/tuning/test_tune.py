@@ -31,7 +31,7 @@ def design(model='as_built', axis='y_rotate', **options):
 @pytest.mark.parametrize('axis', ['y_linear', 'x_rotate', 'y_rotate'])
 def test_shipped_gains_are_the_tuning_values_that_they_were_made_from(axis):
     made = design('rigid', axis)
-    found = tuning_of(made.servo({}), made.scale, axis)
+    found = tuning_of(made.servo({}), made.scale)
     values = calibrated()
     assert found.natural_frequency == pytest.approx(
         values[f'{axis}_natural_frequency_rad_s'], rel=1e-3

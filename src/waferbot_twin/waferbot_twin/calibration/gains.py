@@ -30,7 +30,7 @@ def i_variables(values: Mapping[str, float], rigid: Machine, base: np.void) -> d
         tuning = Tuning(*(values[f'{axis}_{name}'] for name in GAINS))
         amperes = base['amplifier_peak_current'][place] / 32768.0
         found[axis] = {
-            **loop_gains(tuning, AxisScale.of(rigid, axis), base, axis),
+            **loop_gains(tuning, AxisScale.of(rigid, axis), base),
             'Ixx29': round(holding[axis] / amperes),
         }
     return found

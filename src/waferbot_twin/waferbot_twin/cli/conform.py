@@ -15,8 +15,11 @@ from dataclasses import asdict
 
 from rich.table import Table
 
-from waferbot_lockstep.contract import AXES, axes_mask
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
+from waferbot_lockstep.node_settings import MACHINE_AXES, MACHINE_ENCODERS
+from waferbot_plant.description_file import described_layout
+from waferbot_plant.plant import description_source
 from waferbot_twin.cli.console import print_json, progress_bar, result_console
 from waferbot_twin.engines.with_ros import engine_with_ros
 
@@ -32,8 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--node', choices=('pmac', 'copley'), required=True, help='whose place it takes'
     )
+    parser.add_argument('--axes', metavar='A,B', help='axes it drives (default: all)')
     parser.add_argument(
-        '--axes', default=','.join(AXES), metavar='A,B', help='axes it drives (default: all)'
+        '--description',
+        metavar='MACHINE',
+        help='whose axes there are (default: the shipped machine)',
     )
     parser.add_argument(
         '--check', action='append', default=[], metavar='NAME', help='only this check'
@@ -48,19 +54,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def execute(options: argparse.Namespace) -> int:
     """Check, and print what was found."""
     kit = engine_with_ros('conformance')
-    names = [name.strip() for name in options.axes.split(',') if name.strip()]
-    if not names or not set(names) <= set(AXES):
-        raise UserError(f'--axes {options.axes}: give one or more of {", ".join(AXES)}')
+    layout = SHIPPED
+    if options.description is not None:
+        layout = described_layout(description_source(options.description))
+    names = list(layout.axes)
+    if options.axes is not None:
+        names = [name.strip() for name in options.axes.split(',') if name.strip()]
+    if not names or not set(names) <= set(layout.axes):
+        raise UserError(f'--axes {options.axes}: give one or more of {", ".join(layout.axes)}')
     unknown = [name for name in options.check if name not in kit.CHECKS]
     if unknown:
         raise UserError(f'--check {unknown[0]}: the checks are {", ".join(kit.CHECKS)}')
     command = [word for word in options.program if word != '--'] or [
-        *(sys.executable, '-m', f'waferbot_{options.node}.node')
+        *(sys.executable, '-m', f'waferbot_{options.node}.node'),
+        *_told(layout),
     ]
     checks = options.check or list(kit.CHECKS)
     findings = []
     with progress_bar(f'checking {options.node}') as progress:
-        for finding in kit.conform(options.node, command, axes_mask(names), checks):
+        for finding in kit.conform(options.node, command, names, checks, layout):
             findings.append(finding)
             progress(len(findings), len(checks))
     if options.json:
@@ -73,3 +85,14 @@ def execute(options: argparse.Namespace) -> int:
             table.add_row(finding.check, finding.grade, finding.text)
         result_console.print(table)
     return 1 if any(finding.grade == kit.WRONG for finding in findings) else 0
+
+
+def _told(layout: Layout) -> list[str]:
+    """Return the arguments by which our node is told the axes of a machine that has its own."""
+    if layout == SHIPPED:
+        return []
+    named = {MACHINE_AXES: layout.axes, MACHINE_ENCODERS: layout.encoders}
+    return [
+        '--ros-args',
+        *(word for name, own in named.items() for word in ('-p', f'{name}:=[{", ".join(own)}]')),
+    ]

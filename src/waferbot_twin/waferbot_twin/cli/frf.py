@@ -14,8 +14,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import known_name
 from waferbot_twin.cli.console import new_table, print_json, result_console
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
@@ -43,7 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--model', default='rigid', metavar='NAME|FILE',
         help='a model, or the description of a machine alone (default: rigid)',
     )  # fmt: skip
-    parser.add_argument('--axis', choices=AXES, help='default: the one that is commanded to move')
+    parser.add_argument(
+        '--axis', metavar='AXIS', help='default: the one that is commanded to move'
+    )
     parser.add_argument(
         '--response', choices=RESPONSES, default='plant',
         help='plant: force to acceleration (default); loop: commanded position to position; '
@@ -87,11 +89,12 @@ def execute(options: argparse.Namespace) -> int:
     output = None if options.out is None else OutputFolder(options.out, options.force)
     variant = Variant.of(load_model_or_machine(options.model))
     logs = [read_log(path, options.mapping, options.model, variant) for path in options.logs]
-    axis = options.axis or channels.moving_axis(logs)
+    axes = variant.layout.axes
+    axis = known_name(options.axis, axes, '--axis') if options.axis else channels.moving_axis(logs)
     source, target = channels.RESPONSES[options.response]
     chosen = (
-        channels.parse_channel(options.source or source, axis),
-        channels.parse_channel(options.target or target, axis),
+        channels.parse_channel(options.source or source, axis, axes),
+        channels.parse_channel(options.target or target, axis, axes),
     )
     comparison = compare(
         logs, chosen, variant, options.resolution, options.highest, options.direct

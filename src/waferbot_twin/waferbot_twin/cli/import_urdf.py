@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """
-Make the description of a machine from a robot's URDF, of one to three joints.
+Make the description of a machine from a robot's URDF, of one to eight joints.
 
 Masses, inertias, joints and <dynamics> are taken; motors and encoders a URDF does not have: what is to
 be added is printed, and stands at the head of the file.

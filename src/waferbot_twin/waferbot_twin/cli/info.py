@@ -140,7 +140,8 @@ def describe(path: Path, progress: Progress | None = None) -> dict[str, Any]:
     """
     header = header_of(path)
     timing = header.timing
-    account = Account(timing, reported(header.run.get('without', ())))
+    layout = header.layout
+    account = Account(timing, reported(header.run.get('without', ()), layout), layout)
     last_tick = -1
 
     def take(topic: Topic, records: np.ndarray) -> None:

@@ -30,6 +30,7 @@ from typing import Any
 from waferbot_copley.node_settings import POLICIES
 from waferbot_lockstep.compiled import compiled_before
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_plant.foreign_plant import foreign_plant, identity, read_mapping
 from waferbot_pmac.settings import load_settings
 from waferbot_twin.cli.console import print_json, progress_bar, say
@@ -177,11 +178,11 @@ def _names(text: str) -> tuple[str, ...]:
 
 def with_pmac_settings(plan: Plan, file: Path) -> Plan:
     """Return the plan with I-variables from a file; tell what in a listing was not taken over."""
-    listing = load_settings(file)
+    listing = load_settings(file, layout=plan.model.layout)
     for problem in listing.problems:
         say(f'{file}: {problem}')
     if not listing.settings:
-        raise UserError(f'{file}: no I-variable of the three motors is set in it')
+        raise UserError(f'{file}: no I-variable of its motors is set in it')
     return replace(plan, model=plan.model.with_settings('pmac', listing.settings))
 
 
@@ -225,8 +226,9 @@ def _run_in_process(plan: Plan, options: argparse.Namespace, progress: Any) -> O
         return inprocess.run(plan, options.out, options.force, progress)
     from waferbot_twin.fmi.lockstep import advance
 
-    names = read_mapping(options.plant_map)
-    with foreign_plant(options.plant, names, plan.timing) as foreign:
+    layout = plan.model.layout
+    names = read_mapping(options.plant_map, layout)
+    with foreign_plant(options.plant, names, plan.timing, layout) as foreign:
         return inprocess.run(
             plan,
             options.out,
@@ -250,16 +252,16 @@ def _run_over_ros(plan: Plan, options: argparse.Namespace, progress: Any) -> Out
         domain=options.domain,
         any_host=options.any_host,
         on_domain=lambda number: say(f'ROS_DOMAIN_ID={number}'),
-        overrides=_overrides(options),
+        overrides=_overrides(options, plan.model.layout),
     )
     outcome: Outcome = ros.run(plan, options.out, options.force, progress, ros_options)
     return outcome
 
 
-def _overrides(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+def _overrides(options: argparse.Namespace, layout: Layout) -> dict[str, dict[str, Any]]:
     """Return the parameters of the plant's node that say which FMU it runs."""
     if options.plant is None:
         return {}
-    read_mapping(options.plant_map)  # its mistakes are told before any node starts
+    read_mapping(options.plant_map, layout)  # its mistakes are told before any node starts
     names = '' if options.plant_map is None else str(options.plant_map.resolve())
     return {'plant': {'fmu': str(options.plant.resolve()), 'fmu_map': names}}

@@ -14,8 +14,8 @@ import argparse
 import math
 from pathlib import Path
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.parameters import known_name
 from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--model', default='as_built', metavar='NAME|FILE', help='default: as_built'
     )
-    parser.add_argument('--axis', choices=AXES, help='default: the one that the experiment moves')
+    parser.add_argument(
+        '--axis', metavar='AXIS', help='default: the one that the experiment moves'
+    )
     parser.add_argument(
         '--bandwidth', type=float, metavar='HZ',
         help='natural frequency of the loop, as of a rigid axis',
@@ -104,6 +106,7 @@ def execute(options: argparse.Namespace) -> int:
         raise UserError('say which axis to tune: --axis')
     output = None if options.out is None else OutputFolder(options.out, options.force)
     variant = Variant.of(load_model(options.model))
+    known_name(axis, variant.layout.axes, '--axis')
     others = [Variant.of(load_model(name)) for name in options.also]
     poses = poses_of(variant, dict(_grid(text) for text in options.poses))
     if len(poses) > MOST_POSES:

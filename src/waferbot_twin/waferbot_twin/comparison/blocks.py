@@ -27,7 +27,6 @@ from pathlib import Path
 import numpy as np
 
 from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.i_variables import servo_parameters
@@ -36,7 +35,6 @@ from waferbot_twin.comparison.traces import Array, Trace, trace
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.load import load_log
-from waferbot_twin.logs.machine import MOTOR_ENCODER
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.metrics import rms
 from waferbot_twin.residuals.controller_block import ControllerBlock, controller_block
@@ -56,7 +54,7 @@ from waferbot_twin.residuals.problem import (
     PLANT,
     WINDINGS,
 )
-from waferbot_twin.residuals.record import Record
+from waferbot_twin.residuals.record import Record, read_exactly
 from waferbot_twin.response import driving_current
 
 NODE_OF_BLOCK = {
@@ -137,12 +135,13 @@ def _plant(record: Record, variant: Variant) -> list[Trace]:
         encoder = variant.description.encoders[channel]
         unit = 'rad' if variant.description.revolute[encoder.coordinate] else 'm'
         measured = block.measured(channel) / encoder.counts_per_unit
-        axis = AXIS_OF[channel]
-        on_motor = channel == MOTOR_ENCODER[axis] and channel != axis
+        axis = record.layout.axis_of(channel)
+        own = record.layout.encoders_of(axis)
+        on_motor = len(own) > 1 and channel == own[-1]
         # A sample may be the mean of several readings: its time is the middle of theirs.
         row = block.times_s(channel) * record.timing.encoder_hz
         rows = np.floor(row + ROUNDING).astype(np.intp)
-        read_s = when_read_s(record, variant, ENCODERS.index(channel), rows)
+        read_s = when_read_s(record, variant, record.layout.encoder_place(channel), rows)
         found += trace(
             axis,
             'motor_position' if on_motor else 'position',
@@ -169,7 +168,7 @@ def _controller(record: Record, variant: Variant) -> list[Trace]:
             output = variant.description.controllers[axis].output
             factor = 1.0 / places.amperes_per_output(variant, axis)
             unit, kind = {'share': '1'}.get(output, output), 'controller_output'
-        measured = record.command[cycles, AXES.index(axis)] * factor
+        measured = record.command[cycles, record.layout.place(axis)] * factor
         found += trace(axis, kind, unit, CONTROLLER, time_s, measured, measured - left * factor)
     return found
 
@@ -189,7 +188,7 @@ def _drive(record: Record, variant: Variant, name: str) -> list[Trace]:
     of_voltage = name == AMPLIFIER
     values = terminals.current
     if of_voltage and terminals.voltage is not None:
-        by_axis = terminals.voltage.reshape(record.ticks, len(AXES), -1)
+        by_axis = terminals.voltage.reshape(record.ticks, len(record.layout.axes), -1)
         against_mean = (by_axis - by_axis.mean(axis=2, keepdims=True))[:, :, :LINES]
         values = against_mean.reshape(record.ticks, -1)
     means = _cycle_means(values, record.timing)
@@ -198,7 +197,7 @@ def _drive(record: Record, variant: Variant, name: str) -> list[Trace]:
         axis, line = channel.split(' line ')
         time_s = block.times_s(channel)
         cycles = np.floor(time_s * record.timing.servo_hz).astype(np.intp)
-        measured = means[cycles, LINES * AXES.index(axis) + int(line) - 1]
+        measured = means[cycles, LINES * record.layout.place(axis) + int(line) - 1]
         kind = f'{"voltage" if of_voltage else "current"}_line_{line}'
         unit = 'V' if of_voltage else 'A'
         found += trace(axis, kind, unit, name, time_s, measured, measured - left)
@@ -272,15 +271,17 @@ def _cycles_of(
     end_s = float(min(signal.time_s[-1] for signal in signals.values()))
     cycles = max(0, int((end_s - begin_s) * timing.servo_hz))
     cycle_s = np.asarray(begin_s + (np.arange(cycles) + BEHIND) / timing.servo_hz, np.float64)
-    servo = servo_parameters(variant.pmac, variant.name)[0]
-    commanded, command = np.zeros((cycles, len(AXES))), np.full((cycles, len(AXES)), np.nan)
+    servo = servo_parameters(variant.pmac, variant.name, variant.layout)[0]
+    layout = variant.layout
+    commanded = np.zeros((cycles, len(layout.axes)))
+    command = np.full(commanded.shape, np.nan)
     rows = cycles * timing.servo_divider // timing.encoder_divider
     row_s = timing.encoder_divider * timing.tick_s
     read_s = begin_s + np.arange(rows) * row_s - (row_s if late else 0.0)
-    reading = np.full((rows, len(ENCODERS)), np.nan)
+    reading = np.full((rows, len(layout.encoders)), np.nan)
     whole = np.ones(cycles, bool)
     for axis in axes:
-        place = AXES.index(axis)
+        place = layout.place(axis)
         per_unit = float(servo['counts_per_unit'][place])
         path, known = log[axis, 'commanded_position'].at(cycle_s)
         output, also = log[axis, 'current_command'].at(cycle_s)
@@ -289,7 +290,7 @@ def _cycles_of(
         encoders = {'position': (int(servo['Ixx03'][place]), per_unit)}
         second = int(servo['Ixx04'][place])
         if second not in (place, encoders['position'][0]):
-            own = variant.description.encoders[ENCODERS[second]]
+            own = variant.description.encoders[layout.encoders[second]]
             encoders['motor_position'] = (second, own.counts_per_unit)
         for kind, (encoder, counts) in encoders.items():
             signal = log.get(axis, kind)
@@ -306,11 +307,11 @@ def _cycles_of(
     record = Record(
         log.name,
         timing,
-        np.full((ticks, LINES * len(AXES)), np.nan),
+        np.full((ticks, LINES * len(layout.axes)), np.nan),
         reading[:rows],
         commanded[:cycles],
         command[:cycles],
-        controlled=tuple(axes),
+        **{**read_exactly(layout), 'controlled': tuple(axes)},
     )
     return record, begin_s
 
@@ -320,13 +321,13 @@ def _currents(record: Record, variant: Variant, log: MeasuredLog, begin_s: float
     if record.ticks == 0:
         return []
     timing = record.timing
-    settings = amplifier_parameters(variant.copley, timing, variant.name)[0]
+    settings = amplifier_parameters(variant.copley, timing, variant.name, variant.layout)[0]
     lines = driven_currents(record, variant)
     ticks = np.arange(record.ticks)
     encoder_ticks = np.arange(len(record.reading)) * timing.encoder_divider
     middle_s = (np.arange(record.ticks // timing.servo_divider) + 0.5) / timing.servo_hz
     found = []
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(record.layout.axes):
         measured = log.get(axis, 'current')
         if measured is None or not np.isfinite(lines[:, LINES * place]).all():
             continue

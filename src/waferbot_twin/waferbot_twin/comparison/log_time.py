@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.comparison.traces import Array
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.logs.machine import POSITION_ENCODER
 from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.residuals.record import Record
 
@@ -32,7 +30,7 @@ def when_read_s(record: Record, variant: Variant, place: int, rows: np.ndarray) 
 
     What is published in a row was read some rows before, and at a time beside that of its tick.
     """
-    own = variant.description.encoders[ENCODERS[place]].errors.extra_delay
+    own = variant.description.encoders[record.layout.encoders[place]].errors.extra_delay
     delay = variant.description.encoder_delay + own
     time_s = (rows - delay) * record.timing.encoder_divider * record.timing.tick_s
     return time_s if record.late_s is None else time_s + record.late_s[rows, place]
@@ -48,10 +46,10 @@ def beginning_s(record: Record, log: MeasuredLog, variant: Variant) -> float:
     """
     best = (np.inf, 0.0)
     for axis in log.usable_axes():
-        encoder = POSITION_ENCODER[axis]
+        encoder = record.layout.encoders_of(axis)[0]
         if axis not in places.motor_axes(variant) or encoder not in variant.description.encoders:
             continue
-        place = ENCODERS.index(encoder)
+        place = record.layout.encoder_place(encoder)
         rows, time_s = reading_times_s(record, variant, place)
         if len(rows) == 0:
             continue

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.comparison.log_time import beginning_s, reading_times_s
@@ -22,7 +21,6 @@ from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.frequency_response.compare import read_log
 from waferbot_twin.frequency_response.simulated import simulated_log
-from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, MeasuredLog, Signal
 from waferbot_twin.residuals.closed_loop_record import simulate
 from waferbot_twin.residuals.from_measured_log import aligned_record, with_short_pauses_of
@@ -50,7 +48,7 @@ def later_s(simulated: MeasuredLog, measured: MeasuredLog) -> float:
     begins = [
         [
             float(signal.time_s[changed[0] + 1])
-            for axis in AXES
+            for axis in simulated.axes()
             if simulated.get(axis, 'commanded_position')
             and (signal := log.get(axis, 'commanded_position')) is not None
             and measured.get(axis, 'commanded_position')
@@ -88,7 +86,7 @@ def in_closed_loop(path: Path, variant: Variant, model: str) -> tuple[MeasuredLo
     simulated = simulated_log(variant, log, Timing())
     begin_s = min(
         float(signal.time_s[0])
-        for axis in AXES
+        for axis in log.axes()
         if (signal := log.get(axis, 'commanded_position')) is not None
     )
     moved = tuple(replace(one, time_s=one.time_s + begin_s) for one in simulated.signals)
@@ -102,20 +100,20 @@ def _described(log: MeasuredLog, variant: Variant) -> MeasuredLog:
         raise UserError(f'{log.name}: the loop cannot be closed: ' + '; '.join(record.notes))
     simulated = simulate(variant, record)
     begin_s = beginning_s(record, log, variant)
+    layout = record.layout
     signals: list[Signal] = []
     for axis in places.described_axes(variant):
         commanded = log.get(axis, 'commanded_position')
         if commanded is None:
             continue
         signals.append(commanded)
-        for kind, encoder in (
-            ('position', POSITION_ENCODER[axis]),
-            ('motor_position', MOTOR_ENCODER[axis]),
+        for kind, encoder in zip(
+            ('position', 'motor_position'), layout.encoders_of(axis), strict=False
         ):
             signal = log.get(axis, kind)
-            if signal is None or (kind != 'position' and encoder == POSITION_ENCODER[axis]):
+            if signal is None:
                 continue
-            place = ENCODERS.index(encoder)
+            place = layout.encoder_place(encoder)
             rows, time_s = reading_times_s(record, variant, place)
             # The line by which the measured values became readings leads back from simulated ones.
             read_s = time_s + begin_s
@@ -133,7 +131,7 @@ def _described(log: MeasuredLog, variant: Variant) -> MeasuredLog:
         if current is not None and simulated.current is not None:
             ticks = np.arange(len(simulated.current)) + 0.5
             middle_s = np.asarray(begin_s + ticks * record.timing.tick_s, np.float64)
-            value = simulated.current[:, AXES.index(axis)]
+            value = simulated.current[:, layout.place(axis)]
             signals.append(
                 replace(current, time_s=middle_s, value=value, hold=LINEAR, resolution=0.0)
             )

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import encoders, motors, plant
@@ -48,7 +47,7 @@ class Counting:
 @dataclass(frozen=True)
 class Begin:
     """
-    How the axes begin (3,): m or rad, m/s or rad/s, and two currents in A.
+    How the axes begin (axes,): m or rad, m/s or rad/s, and two currents in A.
 
     `integral` is what integrators make of the output, `current` what was put out before it all.
     """
@@ -64,10 +63,9 @@ class Run:
     """
     Signals of a run without noise.
 
-    seen      (rows, 4) counts that encoders see at encoder ticks, without steps, not yet published
-    speed     (rows, 4) counts per second, of that
-    current   (ticks, 3) A, what drives are told over each tick
-    command   (cycles, 3) A, what controllers computed
+    seen      (rows, encoders) counts that encoders see at encoder ticks, without steps, not yet
+    published speed     (rows, encoders) counts per second, of that current   (ticks, axes) A, what
+    drives are told over each tick command   (cycles, axes) A, what controllers computed
     """
 
     seen: Array
@@ -80,39 +78,42 @@ def run(
     variant: Variant, timing: Timing, commanded: Array, begin: Begin, counting: Counting
 ) -> Run:
     """
-    Run the closed loop of a variant over commanded positions (cycles, 3), m or rad.
+    Run the closed loop of a variant over commanded positions (cycles, axes), m or rad.
 
     The servo of `timing` is the fastest of the described controllers. Raises `UserError` if the loop is
     unstable.
     """
-    controllers = variant.description.controllers
+    description, layout = variant.description, variant.layout
+    axes, encoder_places = len(layout.axes), len(layout.encoders)
+    controllers = description.controllers
     machine = built(variant, timing)
     parameters = machine.parameters()
     there = {
         axis: float(begin.position[place])
-        for place, axis in enumerate(AXES)
-        if axis in variant.description.axes
+        for place, axis in enumerate(layout.axes)
+        if axis in description.axes
     }
     state = machine.initial_state(parameters, there, holding=True)
     _set_off(state, variant, machine.coordinates, begin.velocity)
     amperes = np.array(
-        [places.amperes_per_output(variant, a) if a in controllers else 0.0 for a in AXES]
+        [places.amperes_per_output(variant, a) if a in controllers else 0.0 for a in layout.axes]
     )
-    delays = [timing.ticks(controllers[a].delay) if a in controllers else 0 for a in AXES]
+    delays = [timing.ticks(controllers[a].delay) if a in controllers else 0 for a in layout.axes]
+    laws = law.law_parameters(controllers, layout.axes)
     ticks = len(commanded) * timing.servo_divider
     rows = ticks // timing.encoder_divider
     result = Run(
-        np.zeros((rows, len(ENCODERS))),
-        np.zeros((rows, len(ENCODERS))),
-        np.zeros((ticks, len(AXES))),
+        np.zeros((rows, encoder_places)),
+        np.zeros((rows, encoder_places)),
+        np.zeros((ticks, axes)),
         np.zeros(commanded.shape),
     )
-    integral = np.divide(begin.integral, amperes, out=np.zeros(len(AXES)), where=amperes != 0.0)
+    integral = np.divide(begin.integral, amperes, out=np.zeros(axes), where=amperes != 0.0)
     tick, coordinate = _advance(
         state,
         parameters,
-        law.initial_state(),
-        law.law_parameters(controllers),
+        law.initial_state(laws),
+        laws,
         np.ascontiguousarray(commanded),
         begin.velocity,
         integral,
@@ -124,11 +125,12 @@ def run(
         timing.servo_divider,
         timing.encoder_divider,
         places.counts_per_unit(variant),
-        variant.description.encoder_delay,
+        np.array(places.encoder_places(variant)),
+        description.encoder_delay,
         counting.step,
         counting.down,
         _standing(variant, parameters[0], len(machine.coordinates)),
-        np.zeros(3 * motors.MOTORS),
+        np.zeros(3 * axes),
         result.seen,
         result.speed,
         result.current,
@@ -144,7 +146,7 @@ def _set_off(
 ) -> None:
     """Give all that moves with each axis, as long as nothing gives, the axis' velocity."""
     placing = variant.rigid.placing
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(variant.layout.axes):
         if axis not in variant.base.description.axes:
             continue
         what, own = placing[places.coordinate(variant, axis)]
@@ -157,7 +159,7 @@ def _standing(variant: Variant, p: np.void, coordinates: int) -> NDArray[np.bool
     """Return which coordinates are those of an axis without a controller: it stands where it is."""
     description = variant.description
     standing = np.zeros(coordinates, np.bool_)
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(description.layout.axes):
         if axis in description.axes and axis not in description.controllers:
             standing[p['axis_coordinate'][place]] = True
             if axis in description.motors:
@@ -190,6 +192,7 @@ def _advance(
     divider,
     encoder_divider,
     per_unit,
+    feedback,
     common_delay,
     count_step,
     down,
@@ -203,9 +206,10 @@ def _advance(
     """
     Run the loop; fill the arrays of `Run`. Returns tick and coordinate of a runaway, or the end and -1.
 
-    `velocity`, `integral` (in units of the output) and `current` (3,) as in `Begin`; `amperes` (3,) per
-    unit of the output; `standing` (n,) coordinates that do not move; `delays` (3,) ticks; `lags` (3,) s;
-    `per_unit` (3,) counts; `count_step`, `down` (4,) as `Counting` has them.
+    `velocity`, `integral` (in units of the output) and `current` (axes,) as in `Begin`; `amperes`
+    (axes,) per unit of the output; `standing` (n,) coordinates that do not move; `delays` (axes,) ticks;
+    `lags` (axes,) s; `per_unit` (axes,) counts of the encoders in `feedback` (axes,); `count_step`,
+    `down` (encoders,) as `Counting` has them.
     """
     s = state[0]
     p = parameters[0]
@@ -214,7 +218,7 @@ def _advance(
     output = np.zeros(axes)
     start = s['position'].copy()
     acting = current.copy()
-    for motor in range(motors.MOTORS):
+    for motor in range(len(p['winding'])):
         s['terminals_open'][motor] = 1
     for axis in range(axes):
         for tick in range(min(delays[axis], len(current_out))):
@@ -230,11 +234,12 @@ def _advance(
         if tick % divider == 0:
             cycle = tick // divider
             for axis in range(axes):
-                later = p['encoder_delay'][axis] - common_delay
-                own = count_step[axis]
-                if p['coarseness'][axis] > 1.0:
-                    own = max(own, p['coarseness'][axis])
-                seen = in_steps(seen_out[max(row - later, 0), axis], own, down[axis])
+                by = feedback[axis]
+                later = p['encoder_delay'][by] - common_delay
+                own = count_step[by]
+                if p['coarseness'][by] > 1.0:
+                    own = max(own, p['coarseness'][by])
+                seen = in_steps(seen_out[max(row - later, 0), by], own, down[by])
                 position[axis] = seen / per_unit[axis]
             if cycle == 0:
                 law.prime(law_state, law_parameters, commanded[0], position, velocity, integral)
@@ -246,7 +251,7 @@ def _advance(
                     current_out[held, axis] = command_out[cycle, axis]
         for driven in range(len(s['external_force'])):
             s['external_force'][driven] = 0.0
-        for motor in range(motors.MOTORS):
+        for motor in range(len(p['winding'])):
             if p['winding'][motor] == motors.NONE:
                 continue
             coordinate = p['motor_coordinate'][motor]

@@ -33,13 +33,14 @@ Sources: K. J. Astrom, T. Hagglund, Advanced PID Control, ISA 2006, chapters 3 a
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_plant.description import Controller
 
 NONE, ON_POSITION, CASCADE = range(3)
@@ -48,53 +49,67 @@ NONE, ON_POSITION, CASCADE = range(3)
 WINDS_UP, CONDITIONAL, BACK_CALCULATION = range(3)
 """What is done against windup."""
 
-PARAMETERS = np.dtype(
-    [
-        (name, 'f8', (len(AXES),))
-        for name in (
-            'step_s',
-            'output_limit',
-            'proportional',
-            'integral',
-            'derivative',
-            'derivative_share',
-            'derivative_of_position',
-            'integral_limit',
-            'tracking_share',
-            'velocity_feedforward',
-            'acceleration_feedforward',
-            'position_gain',
-            'position_integral',
-            'position_integral_limit',
-            'velocity_limit',
-            'velocity_gain',
-            'velocity_integral',
-            'velocity_share',
-        )
-    ]
-    + [(name, 'i8', (len(AXES),)) for name in ('law', 'every', 'anti_windup')],
-    align=True,
-)
-"""Of each axis. `every`: cycles of the fastest controller in one of its own; shares are of 1."""
 
-STATE = np.dtype(
-    [
-        (name, 'f8', (len(AXES),))
-        for name in (
-            'commanded',
-            'commanded_velocity',
-            'position',
-            'error',
-            'rate',
-            'integral',
-            'position_integral',
-            'output',
-        )
-    ]
-    + [(name, 'i8', (len(AXES),)) for name in ('cycle',)],
-    align=True,
-)
-"""Of each axis: the values of the cycle before, filtered rate (d or v), integrators, and its output."""
+@functools.cache
+def parameter_dtype(axes: int) -> np.dtype:
+    """
+    Return the dtype of the parameters of so many axes.
+
+    `every`: cycles of the fastest controller in one of its own; shares are of 1.
+    """
+    return np.dtype(
+        [
+            (name, 'f8', (axes,))
+            for name in (
+                'step_s',
+                'output_limit',
+                'proportional',
+                'integral',
+                'derivative',
+                'derivative_share',
+                'derivative_of_position',
+                'integral_limit',
+                'tracking_share',
+                'velocity_feedforward',
+                'acceleration_feedforward',
+                'position_gain',
+                'position_integral',
+                'position_integral_limit',
+                'velocity_limit',
+                'velocity_gain',
+                'velocity_integral',
+                'velocity_share',
+            )
+        ]
+        + [(name, 'i8', (axes,)) for name in ('law', 'every', 'anti_windup')],
+        align=True,
+    )
+
+
+@functools.cache
+def state_dtype(axes: int) -> np.dtype:
+    """
+    Return the dtype of the state of so many axes.
+
+    The values of the cycle before, filtered rate (d or v), integrators, and the output.
+    """
+    return np.dtype(
+        [
+            (name, 'f8', (axes,))
+            for name in (
+                'commanded',
+                'commanded_velocity',
+                'position',
+                'error',
+                'rate',
+                'integral',
+                'position_integral',
+                'output',
+            )
+        ]
+        + [(name, 'i8', (axes,)) for name in ('cycle',)],
+        align=True,
+    )
 
 
 def cycle_hz(controllers: Mapping[str, Controller]) -> float:
@@ -102,16 +117,18 @@ def cycle_hz(controllers: Mapping[str, Controller]) -> float:
     return max(controller.rate for controller in controllers.values())
 
 
-def law_parameters(controllers: Mapping[str, Controller]) -> np.ndarray:
+def law_parameters(
+    controllers: Mapping[str, Controller], axes: Sequence[str] = SHIPPED.axes
+) -> np.ndarray:
     """
-    Return the parameters of all axes' controllers, a structured array of one element.
+    Return the parameters of the controllers of a machine's axes, a structured array of one element.
 
     Slower controllers act every so many cycles of the fastest, a whole number.
     """
-    parameters = np.zeros(1, PARAMETERS)
+    parameters = np.zeros(1, parameter_dtype(len(axes)))
     p = parameters[0]
     p['every'] = 1
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(axes):
         controller = controllers.get(axis)
         if controller is None:
             continue
@@ -132,7 +149,7 @@ def law_parameters(controllers: Mapping[str, Controller]) -> np.ndarray:
             'derivative_share': _share(controller.derivative_filter, step_s),
             'velocity_share': _share(controller.velocity_filter, step_s),
         }
-        for name in PARAMETERS.names or ():
+        for name in parameters.dtype.names or ():
             p[name][place] = values.get(name, getattr(controller, name, 0.0))
     return parameters
 
@@ -147,7 +164,7 @@ def prime(state, parameters, commanded, position, velocity, integral):
     """
     Begin in the middle of a motion: no difference jumps.
 
-    state: STATE (1,), overwritten. `commanded`, `position` m or rad, `velocity` m/s or rad/s of both;
+    state: (1,), overwritten. `commanded`, `position` m or rad, `velocity` m/s or rad/s of both;
     `integral`: what the integrator makes of the output, in its unit; where only the position loop of a
     cascade has one, it is that. All (3,).
     """
@@ -179,7 +196,7 @@ def step(state, parameters, commanded, position, output):
     """
     Run one cycle of the fastest controller, and of those whose turn it is.
 
-    state: STATE (1,), advanced in place. parameters: PARAMETERS (1,). commanded, position: float64 (3,),
+    state: (1,), advanced in place. parameters: (1,). commanded, position: float64 (axes,),
     m or rad. output: float64 (3,), out, each in its unit, before the computation delay; that of an
     axis whose turn it is not stands, that of one without a controller is 0.
     """
@@ -265,15 +282,15 @@ def _within(value, limit):
     return min(max(value, -limit), limit)
 
 
-def initial_state() -> np.ndarray:
-    """Return a state, shape (1,), of `STATE`; call `prime` before the first `step`."""
-    return np.zeros(1, STATE)
+def initial_state(parameters: np.ndarray) -> np.ndarray:
+    """Return a state, shape (1,), for these parameters; call `prime` before the first `step`."""
+    return np.zeros(1, state_dtype(len(parameters['law'][0])))
 
 
 @compiled
 def replay(state, parameters, commanded, position, velocity, integral, output):
     """
-    Run the law over commanded and measured positions (n, 3); fill `output` (n, 3).
+    Run the law over commanded and measured positions (n, axes); fill `output` (n, axes).
 
     It begins with `velocity` and `integral` (3,), as `prime` does.
     """

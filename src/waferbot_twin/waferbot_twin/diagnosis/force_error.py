@@ -24,7 +24,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import motors
 from waferbot_plant.inverse_dynamics import InverseDynamics
@@ -59,7 +58,7 @@ def force_error(
     late_s -= variant.description.encoders[places.position_encoder(nominal, axis)].errors.delay
     try:
         dynamics = InverseDynamics(variant.description)
-        lag_s = places.drive_lags(variant)[AXES.index(axis)]
+        lag_s = places.drive_lags(variant)[nominal.base.layout.place(axis)]
         per_ampere = places.force_per_ampere(nominal, axis)
         parts = [
             _forces(_lagged(one, lag_s), fit.cut_off_hz, dynamics, per_ampere)

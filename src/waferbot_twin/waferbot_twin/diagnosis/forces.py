@@ -31,7 +31,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.diagnosis.diagnose import Diagnosis
 from waferbot_twin.diagnosis.wording import metres_per_count
@@ -167,7 +166,7 @@ def _stretch(
     step_s = float(np.median(np.diff(time_s)))
     even_s = np.arange(time_s[0], time_s[-1], step_s)
     force = mass * observer_gain(shapes) * metres * step * residual
-    resolution = log.record.resolution[ENCODERS.index(channel.name)]
+    resolution = log.record.resolution[log.record.layout.encoder_place(channel.name)]
     return Stretch(
         step_s,
         np.interp(even_s, time_s, metres * log.measured(channel.name)),

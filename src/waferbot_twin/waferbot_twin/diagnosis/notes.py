@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from waferbot_lockstep.contract import AXIS_OF
 from waferbot_twin.diagnosis.wording import metres_per_count, title
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
@@ -67,7 +66,7 @@ def in_windows(
         f'that tell most of its motion ({spans} s)'
     )
     for channel, both in errors.items():
-        axis = AXIS_OF[channel]
+        axis = record.layout.axis_of(channel)
         per_count, unit = metres_per_count(nominal, axis)
         factor, unit = with_prefix(max(both) * per_count, unit)
         inside, outside = (f'{factor * per_count * value:.3g}' for value in both)

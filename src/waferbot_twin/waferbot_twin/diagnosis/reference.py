@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.inverse_dynamics import InverseDynamics
 from waferbot_twin.diagnosis.force_error import force_error
@@ -48,7 +47,7 @@ def reference_of(
     """
     found = [
         one
-        for axis in AXES
+        for axis in nominal.layout.axes
         if (one := _of_axis([_alone(log, axis) for log in logs], validation, nominal, axis))
     ]
     if not found:

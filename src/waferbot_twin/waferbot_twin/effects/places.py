@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_plant import motors
 from waferbot_plant.assembly import Assembly, home_mass_matrix_and_weight
 from waferbot_plant.description import Body, Joint
@@ -31,7 +30,9 @@ DAC_BITS = 32768.0
 
 def motor_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes that have a motor, in the contract's order."""
-    return tuple(axis for axis in AXES if axis in variant.base.description.motors)
+    return tuple(
+        axis for axis in variant.base.layout.axes if axis in variant.base.description.motors
+    )
 
 
 def wound_axes(variant: Variant) -> tuple[str, ...]:
@@ -51,7 +52,9 @@ def wound_axes(variant: Variant) -> tuple[str, ...]:
 def drive_lags(variant: Variant) -> NDArray[np.float64]:
     """Return how force follows what the drive of each axis is told (3,), time constants in s."""
     known = variant.description.motors
-    return np.array([known[axis].lag if axis in known else 0.0 for axis in AXES])
+    return np.array(
+        [known[axis].lag if axis in known else 0.0 for axis in variant.base.layout.axes]
+    )
 
 
 def lagging_axes(variant: Variant) -> tuple[str, ...]:
@@ -284,8 +287,14 @@ def axis_counts(variant: Variant, axis: str) -> float:
 
 
 def counts_per_unit(variant: Variant) -> np.ndarray:
-    """Return the counts (3,) of each axis' position encoder per m or rad of the axis; 1 without one."""
-    return np.array([axis_counts(variant, axis) for axis in AXES])
+    """Return the counts of each axis' position encoder per m or rad of it, (axes,); 1 without one."""
+    return np.array([axis_counts(variant, axis) for axis in variant.base.layout.axes])
+
+
+def encoder_places(variant: Variant) -> list[int]:
+    """Return the place of each axis' position encoder."""
+    layout = variant.base.layout
+    return [layout.encoder_place(position_encoder(variant, axis)) for axis in layout.axes]
 
 
 def described_axes(variant: Variant) -> tuple[str, ...]:

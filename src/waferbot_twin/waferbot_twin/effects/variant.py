@@ -21,8 +21,8 @@ import numpy as np
 import yaml
 
 from waferbot_copley.settings import settings_of as amplifier_settings
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.marked_yaml import SAFE_DUMPER, Document, merged, parse
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Assembly, assemble
@@ -91,7 +91,7 @@ class Variant:
         text = whole_text(description_source(model.description))
         machine = parse(text, model.description.split('\n', 1)[0]).data
         others = {
-            node: {key: value for key, value in settings.items() if key not in AXES}
+            node: {key: value for key, value in settings.items() if key not in model.layout.axes}
             for node, settings in model.parameters.items()
         }
         return cls(
@@ -128,6 +128,11 @@ class Variant:
         return check(document, self.damping)
 
     @property
+    def layout(self) -> Layout:
+        """The axes and encoders of the machine, in the order of their places."""
+        return self.description.layout
+
+    @property
     def titles(self) -> Mapping[str, str]:
         """What reports and plots call the axes."""
         return self.description.titles
@@ -150,7 +155,7 @@ class Variant:
 
     @cached_property
     def _servo(self) -> np.void:
-        return servo_parameters(self.pmac, self.name)[0]
+        return servo_parameters(self.pmac, self.name, self.layout)[0]
 
     def build(self, timing: Timing) -> Machine:
         """Return the machine, assembled."""
@@ -158,13 +163,13 @@ class Variant:
 
     def i_variable(self, axis: str, name: str) -> float:
         """Return an I-variable of an axis, its default where it is not set."""
-        return float(self._servo[name][AXES.index(axis)])
+        return float(self._servo[name][self.layout.place(axis)])
 
     def amplifier_setting(self, axis: str, name: str) -> float:
         """Return a setting of an axis' amplifier, its default where it is not set."""
         if name in self.copley.get(axis, {}):
             return float(self.copley[axis][name])
-        for setting in amplifier_settings(axis):
+        for setting in amplifier_settings(axis, self.layout):
             if setting.name == name:
                 return float(setting.default)
         raise UserError(f'an amplifier has no setting {name!r}')

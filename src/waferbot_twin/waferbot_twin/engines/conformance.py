@@ -32,10 +32,11 @@ from waferbot_lockstep.contract import (
     Topic,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.node import lockstep_qos, make_executor, message_class
 from waferbot_lockstep.ros_logs import ensure_log_folder
 from waferbot_lockstep.timing import Timing
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import wire_of
 from waferbot_twin.engines.domain import Domain
 from waferbot_twin.engines.ros import ros_environment
 
@@ -98,18 +99,19 @@ class Answer:
 class Peers(Node):
     """Speaks for all peers of the node under test; `answers` and `stops` have what it said."""
 
-    def __init__(self, role: str, places: int) -> None:
+    def __init__(self, role: str, places: int, layout: Layout) -> None:
         """Open the topics of a `ROLES` entry; answers are expected for the `places` of a mask."""
         super().__init__('conformance')
+        self.layout = layout
         self.timing = Timing()
         self.inputs, self.output = ROLES[role]
         self.places = places
         self.answers: list[Answer] = []
         self.stops: list[Any] = []
         self.broken = ''
-        self._wire = {topic: WireFormat(topic.type_name) for topic in (*self.inputs, self.output)}
+        self._wire = {topic: wire_of(topic, layout) for topic in (*self.inputs, self.output)}
         self._voices = {
-            topic: self.create_publisher(message_class(topic), topic.name, lockstep_qos())
+            topic: self.create_publisher(message_class(topic, layout), topic.name, lockstep_qos())
             for topic in self.inputs
         }
         self._last: dict[Topic, bytes] = {}
@@ -117,7 +119,11 @@ class Peers(Node):
             waferbot_msgs.msg.Stop, STOP_TOPIC, lockstep_qos(8)
         )
         self.create_subscription(
-            message_class(self.output), self.output.name, self._on_answer, lockstep_qos(), raw=True
+            message_class(self.output, layout),
+            self.output.name,
+            self._on_answer,
+            lockstep_qos(),
+            raw=True,
         )
         self.create_subscription(waferbot_msgs.msg.Stop, STOP_TOPIC, self._on_stop, 8)
 
@@ -148,10 +154,11 @@ class Peers(Node):
 
     def say(self, topic: Topic, tick: int, shift: float = 0.0, remember: bool = True) -> None:
         """Give a topic its message of a tick; all its values are `shift`."""
-        count = len(topic.places) * topic.width
+        count = len(topic.places(self.layout)) * topic.width
         whole = topic is ENCODERS_TOPIC
         values = [int(shift) if whole else shift] * count
-        data = self._wire[topic].encode(tick, self.timing.stamp_ns(tick), topic.all_places, values)
+        valid = topic.all_places(self.layout)
+        data = self._wire[topic].encode(tick, self.timing.stamp_ns(tick), valid, values)
         if remember:
             self._last[topic] = data
         self._voices[topic].publish(data)
@@ -173,9 +180,9 @@ class Peers(Node):
 class Trial:
     """A node under test, started anew, and its peers."""
 
-    def __init__(self, role: str, command: Sequence[str], places: int) -> None:
+    def __init__(self, role: str, command: Sequence[str], places: int, layout: Layout) -> None:
         """Start the process and open the topics."""
-        self.peers = Peers(role, places)
+        self.peers = Peers(role, places, layout)
         self.executor = make_executor()
         self.executor.add_node(self.peers)
         self.process = subprocess.Popen(
@@ -260,7 +267,7 @@ class Trial:
                     f'{where} has the stamp {answer.stamp_ns} ns; it must be '
                     f'{peers.timing.stamp_ns(answer.tick)} ns, tick * 500000 // 9'
                 )
-            if answer.valid == 0 or answer.valid & ~peers.output.all_places:
+            if answer.valid == 0 or answer.valid & ~peers.output.all_places(peers.layout):
                 raise Deviation(f'{where} speaks for axes that do not exist: {answer.valid:#x}')
             if not all(map(math.isfinite, answer.values)):
                 raise Deviation(f'{where} holds a value that is no finite number: {answer.values}')
@@ -445,11 +452,15 @@ CHECKS: dict[str, Check] = {
 
 
 def conform(
-    role: str, command: Sequence[str], places: int, checks: Sequence[str] = tuple(CHECKS)
+    role: str,
+    command: Sequence[str],
+    axes: Sequence[str],
+    checks: Sequence[str] = tuple(CHECKS),
+    layout: Layout = SHIPPED,
 ) -> Iterator[Finding]:
-    """Yield what each check finds of the node that `command` starts; `places` are its axes."""
+    """Yield what each check finds of the node that `command` starts, for these axes of a machine."""
     for name in checks:
-        with trial(role, command, places) as one:
+        with trial(role, command, layout.mask(axes), layout) as one:
             try:
                 grade, text = CHECKS[name](one)
             except Deviation as deviation:
@@ -458,7 +469,9 @@ def conform(
 
 
 @contextlib.contextmanager
-def trial(role: str, command: Sequence[str], places: int) -> Iterator[Trial]:
+def trial(
+    role: str, command: Sequence[str], places: int, layout: Layout = SHIPPED
+) -> Iterator[Trial]:
     """Give a trial in a ROS domain of its own."""
     with contextlib.ExitStack() as stack:
         domain = Domain()
@@ -468,7 +481,7 @@ def trial(role: str, command: Sequence[str], places: int) -> Iterator[Trial]:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.try_shutdown)
         try:
-            one = Trial(role, command, places)
+            one = Trial(role, command, places, layout)
         except OSError as error:
             raise UserError(f'{command[0]} cannot be started: {error.strerror}') from error
         stack.callback(one.end)

@@ -21,10 +21,7 @@ from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.compiled import compiled
 from waferbot_lockstep.contract import (
-    ALL_AXES,
-    ALL_ENCODERS,
     AMPLIFIER_STATE,
-    AXES,
     CONTRACT_TOPICS,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
@@ -37,6 +34,7 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.standard_messages import (
     CLOCK,
     FIXED_TRANSFORMS,
@@ -48,7 +46,7 @@ from waferbot_lockstep.standard_messages import (
     string_message,
 )
 from waferbot_lockstep.timing import NANOSECONDS_PER_SECOND, Timing
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import wire_of
 from waferbot_plant import loads, plant
 from waferbot_plant.frames import Frames
 from waferbot_plant.motors import check_windings
@@ -75,15 +73,16 @@ class Signals:
     """
     The signals of a stretch of ticks, one row per message of each topic, SI units or counts.
 
-    With n ticks: counts int64 (n_encoder, 4), line_current (n, 6), current_command (n_servo, 3),
-    voltage (n, 9), open_bridges (n,), servo_state (n_servo, 15) in the order of the message's fields;
-    amplifier_* have one row per amplifier message; joint_* (n_slow, 3); loads (n_slow, loads.WIDTH), NaN
-    of a plant that tells none. All begin at tick `first`.
+    With n ticks, a axes and e encoders: counts int64 (n_encoder, e), line_current (n, 2 a),
+    current_command (n_servo, a), voltage (n, 3 a), open_bridges (n,), servo_state (n_servo, 5 a) in the
+    order of the message's fields; amplifier_* have one row per amplifier message; joint_* (n_slow, a);
+    loads (n_slow, loads.width(a)), NaN of a plant that tells none. All begin at tick `first`.
     """
 
     first: int
     ticks: int
     timing: Timing
+    layout: Layout = SHIPPED
     counts: np.ndarray = field(init=False)
     line_current: np.ndarray = field(init=False)
     current_command: np.ndarray = field(init=False)
@@ -101,11 +100,11 @@ class Signals:
 
     def __post_init__(self) -> None:
         """Reserve the arrays."""
-        axes = len(AXES)
+        axes = len(self.layout.axes)
         encoder_rows = len(self.encoder_ticks)
         servo_rows = len(self.servo_ticks)
         slow_rows = len(self.slow_ticks)
-        self.counts = np.zeros((encoder_rows, 4), np.int64)
+        self.counts = np.zeros((encoder_rows, len(self.layout.encoders)), np.int64)
         self.line_current = np.zeros((self.ticks, 2 * axes))
         self.current_command = np.zeros((servo_rows, axes))
         self.voltage = np.zeros((self.ticks, 3 * axes))
@@ -118,11 +117,11 @@ class Signals:
         self.amplifier_messages = np.zeros(1, np.int64)
         self.joint_position = np.zeros((slow_rows, axes))
         self.joint_velocity = np.zeros((slow_rows, axes))
-        self.loads = np.full((slow_rows, loads.WIDTH), np.nan)
+        self.loads = np.full((slow_rows, loads.width(axes)), np.nan)
 
     def until(self, tick: int) -> Signals:
         """Return the part of these signals before `tick`."""
-        part = Signals(self.first, tick - self.first, self.timing)
+        part = Signals(self.first, tick - self.first, self.timing, self.layout)
         messages = int(np.searchsorted(self.amplifier_tick[: self.amplifier_messages[0]], tick))
         for name, array in vars(part).items():
             if isinstance(array, np.ndarray):
@@ -132,7 +131,8 @@ class Signals:
 
     def note_failures(self, failures: Failures) -> None:
         """Look for axes that are not driven any more."""
-        failures.killed.note_all(np.array(self.servo_ticks), self.servo_state[:, -len(AXES) :])
+        flags = self.servo_state[:, -len(self.layout.axes) :]
+        failures.killed.note_all(np.array(self.servo_ticks), flags)
         for row in range(self.amplifier_messages[0]):
             failures.note_faults(
                 int(self.amplifier_tick[row]),
@@ -204,19 +204,21 @@ class Twin:
         """
         self.timing = timing
         self.machine = machine
+        self.layout = machine.layout
+        axes = len(self.layout.axes)
         self.plant_parameters = self.machine.parameters()
         self.plant_state = self.machine.resting_state(self.plant_parameters)
-        self.servo_parameters = servo_parameters(pmac, source)
+        self.servo_parameters = servo_parameters(pmac, source, self.layout)
         self.servo_state = servo.initial_state(self.servo_parameters)
-        self.amplifier_parameters = amplifier_parameters(copley, timing, source)
+        self.amplifier_parameters = amplifier_parameters(copley, timing, source, self.layout)
         self.amplifier_state = amplifier.initial_state(self.amplifier_parameters)
-        self.commanded = np.zeros((1, len(AXES)))
-        self.offsets: np.ndarray = np.zeros((1, len(AXES)))
+        self.commanded = np.zeros((1, axes))
+        self.offsets: np.ndarray = np.zeros((1, axes))
         self.tick = 0
-        self._start = np.zeros(len(AXES))
-        self._counts = np.zeros(4, np.int64)
-        self._current = np.zeros(len(AXES))
-        self._loads = loads.begin()
+        self._start = np.zeros(axes)
+        self._counts = np.zeros(len(self.layout.encoders), np.int64)
+        self._current = np.zeros(axes)
+        self._loads = loads.begin(axes)
 
     @classmethod
     def of(cls, model: Model, timing: Timing, experiment: Experiment) -> Twin:
@@ -243,7 +245,7 @@ class Twin:
         experiment: str = '',
     ) -> None:
         """
-        Command positions (cycles, 3), counts from where the axes are; with compensation tables.
+        Command positions (cycles, axes), counts from where the axes are; with compensation tables.
 
         Tables over time are those of `experiment`.
         """
@@ -254,12 +256,13 @@ class Twin:
             self._first_positions() + commanded,
             self.servo_parameters,
             self.timing.servo_hz,
+            self.layout,
         )
 
     def _first_positions(self) -> np.ndarray:
-        """Return the counts (3,) of the position encoders at tick 0, from which motions begin."""
-        counts = np.zeros(4, np.int64)
-        state, line_current = self.plant_state.copy(), np.zeros(2 * len(AXES))
+        """Return the counts (axes,) of the position encoders at tick 0, from which motions begin."""
+        counts = np.zeros_like(self._counts)
+        state, line_current = self.plant_state.copy(), np.zeros(2 * len(self.layout.axes))
         plant.measure(state, self.plant_parameters, 0, counts, line_current)
         return counts[self.servo_parameters['Ixx03'][0]].astype(np.float64)
 
@@ -269,7 +272,7 @@ class Twin:
 
         Raises `Runaway` if the plant blows up, with the signals up to there.
         """
-        signals = Signals(self.tick, ticks, self.timing)
+        signals = Signals(self.tick, ticks, self.timing, self.layout)
         stopped, coordinate = _advance(
             self.tick,
             ticks,
@@ -331,7 +334,7 @@ def run(
     twin = Twin.of(plan.model, plan.timing, plan.experiment)
     _compile(plan)
     begun_s = time.perf_counter()
-    failures = Failures(plan.timing)
+    failures = Failures.of(plan.timing, twin.layout)
     validity = Validity(plan.model, plan.timing, twin.machine)
     with contextlib.ExitStack() as stack:
         recorder = None
@@ -339,7 +342,7 @@ def run(
             writer = stack.enter_context(
                 RecordingWriter(out, plan.attachments('inprocess'), force, live=True)
             )
-            recorder = SignalRecorder(writer, plan.timing)
+            recorder = SignalRecorder(writer, plan.timing, layout=twin.layout)
             recorder.describe(urdf(twin.machine.description))
         try:
             advance = twin.advance if advance_with is None else advance_with(twin)
@@ -361,7 +364,9 @@ def run(
         if recorder:
             line = recorder.close(plan.ticks, failure, validity.told())
         else:
-            line = close_complete(None, Account(plan.timing), plan.ticks, failure)
+            line = close_complete(
+                None, Account(plan.timing, layout=twin.layout), plan.ticks, failure
+            )
         return Outcome(line, loop_s, validity.departures())
 
 
@@ -388,22 +393,25 @@ class SignalRecorder:
         timing: Timing,
         topics: Sequence[Topic] = CONTRACT_TOPICS,
         standard_topics: bool = True,
+        layout: Layout = SHIPPED,
     ) -> None:
-        """Declare the topics: all of the contract and the standard ones, or only some."""
+        """Declare the topics of a machine: all of the contract and the standard ones, or only some."""
+        self._layout = layout
         self._writer = writer
         self._timing = timing
         self._account = Account(
-            timing, {topic: 0 for topic in CONTRACT_TOPICS if topic not in topics}
+            timing, {topic: 0 for topic in CONTRACT_TOPICS if topic not in topics}, layout
         )
         self._wire = {}
         for topic in topics:
-            writer.add_topic(f'/{topic.name}', topic.type_name)
-            self._wire[topic] = WireFormat(topic.type_name)
+            writer.add_topic(f'/{topic.name}', topic.type_for(layout))
+            self._wire[topic] = wire_of(topic, layout)
         self._standard_topics = standard_topics
         if standard_topics:
-            for name, type_name in (CLOCK, JOINT_STATES, TRANSFORMS, PLANT_STATE):
+            for name, type_name in (CLOCK, JOINT_STATES, TRANSFORMS):
                 writer.add_topic(f'/{name}', type_name)
-            self._plant_state = WireFormat(PLANT_STATE[1])
+            writer.add_topic(f'/{PLANT_STATE.name}', PLANT_STATE.type_for(layout))
+            self._plant_state = wire_of(PLANT_STATE, layout)
         self._frames: Frames | None = None
 
     def describe(self, robot: str) -> None:
@@ -418,15 +426,16 @@ class SignalRecorder:
 
     def write(self, signals: Signals) -> None:
         """Write a stretch of signals, in the order of time."""
+        all_axes, all_encoders = self._layout.all_axes, self._layout.all_encoders
         every = range(signals.first, signals.first + signals.ticks)
         amplifier_rows = int(signals.amplifier_messages[0])
         servo_values = np.split(signals.servo_state, 5, axis=1)
         tables: tuple[tuple[Topic, Sequence[int] | np.ndarray, Any, Sequence[np.ndarray]], ...] = (
-            (ENCODERS_TOPIC, signals.encoder_ticks, ALL_ENCODERS, (signals.counts,)),
-            (PHASE_CURRENTS, every, ALL_AXES, (signals.line_current,)),
-            (CURRENT_COMMAND, signals.servo_ticks, ALL_AXES, (signals.current_command,)),
-            (SERVO_STATE, signals.servo_ticks, ALL_AXES, servo_values),
-            (PHASE_VOLTAGES, every, ALL_AXES, (signals.voltage, signals.open_bridges)),
+            (ENCODERS_TOPIC, signals.encoder_ticks, all_encoders, (signals.counts,)),
+            (PHASE_CURRENTS, every, all_axes, (signals.line_current,)),
+            (CURRENT_COMMAND, signals.servo_ticks, all_axes, (signals.current_command,)),
+            (SERVO_STATE, signals.servo_ticks, all_axes, servo_values),
+            (PHASE_VOLTAGES, every, all_axes, (signals.voltage, signals.open_bridges)),
             (
                 AMPLIFIER_STATE,
                 signals.amplifier_tick[:amplifier_rows],
@@ -464,7 +473,7 @@ class SignalRecorder:
         joints = [
             joint_state_message(
                 stamp,
-                AXES,
+                self._layout.axes,
                 signals.joint_position[row].tolist(),
                 signals.joint_velocity[row].tolist(),
             )
@@ -477,7 +486,7 @@ class SignalRecorder:
         ]
         if self._frames is not None and len(stamps_ns):
             transforms = [
-                self._frames.message(stamp, dict(zip(AXES, position, strict=True)))
+                self._frames.message(stamp, dict(zip(self._layout.axes, position, strict=True)))
                 for stamp, position in zip(
                     stamps_ns.tolist(), signals.joint_position.tolist(), strict=False
                 )
@@ -490,12 +499,12 @@ class SignalRecorder:
             records['stamp_sec'], records['stamp_nanosec'] = np.divmod(
                 stamps_ns[told], NANOSECONDS_PER_SECOND
             )
-            records['valid'] = ALL_AXES
+            records['valid'] = self._layout.all_axes
             names = self._plant_state.value_fields
             values = loads.fields(signals.loads[told])
             for name, column in zip(names, values, strict=True):
                 records[name] = column
-            tables.append(Table.of(f'/{PLANT_STATE[0]}', stamps_ns[told], records))
+            tables.append(Table.of(f'/{PLANT_STATE.name}', stamps_ns[told], records))
         return tables
 
     def close(self, ticks: int, failure: str = '', told: Mapping[str, str] | None = None) -> str:
@@ -558,10 +567,12 @@ def _advance(
     because the plant blew up.
     """
     position_encoder = servo_parameters[0]['Ixx03']
-    target = np.empty(3)
-    i2t = np.zeros((2, 3))
-    limits = np.zeros(3, np.uint8)
-    faults = np.zeros(3, np.uint32)
+    motors = len(position_encoder)
+    all_axes = (1 << motors) - 1
+    target = np.empty(motors)
+    i2t = np.zeros((2, motors))
+    limits = np.zeros(motors, np.uint8)
+    faults = np.zeros(motors, np.uint32)
     encoder_row = 0
     servo_row = 0
     amplifier_row = 0
@@ -592,30 +603,36 @@ def _advance(
             loads.note(plant_state, plant_parameters, borne)
             cycle = tick // servo_divider
             if cycle == 0:
-                for axis in range(3):
+                for axis in range(motors):
                     start[axis] = counts[position_encoder[axis]]
                 servo.prime(servo_state, servo_parameters, counts, start)
             place = min(cycle, commanded.shape[0] - 1)
-            for axis in range(3):
+            for axis in range(motors):
                 target[axis] = start[axis] + commanded[place, axis]
             place = min(cycle, offsets.shape[0] - 1)
-            for axis in range(3):
+            for axis in range(motors):
                 servo_state[0]['offset'][axis] = offsets[place, axis]
             servo.step(servo_state, servo_parameters, counts, target, current)
             s = servo_state[0]
-            for axis in range(3):
+            for axis in range(motors):
                 command_out[servo_row, axis] = current[axis]
                 servo_out[servo_row, axis] = s['commanded_position'][axis]
-                servo_out[servo_row, 3 + axis] = s['following_error'][axis]
-                servo_out[servo_row, 6 + axis] = s['output'][axis]
-                servo_out[servo_row, 9 + axis] = s['integrator'][axis]
-                servo_out[servo_row, 12 + axis] = s['flags'][axis]
+                servo_out[servo_row, motors + axis] = s['following_error'][axis]
+                servo_out[servo_row, 2 * motors + axis] = s['output'][axis]
+                servo_out[servo_row, 3 * motors + axis] = s['integrator'][axis]
+                servo_out[servo_row, 4 * motors + axis] = s['flags'][axis]
             servo_row += 1
         amplifier.step(
-            amplifier_state, amplifier_parameters, 7, current, line_current, counts, voltage
+            amplifier_state,
+            amplifier_parameters,
+            all_axes,
+            current,
+            line_current,
+            counts,
+            voltage,
         )
         open_out[row] = amplifier.open_bridges(amplifier_state)
-        axes = 7 if tick % SLOW_DIVIDER == 0 else amplifier.changed(amplifier_state)
+        axes = all_axes if tick % SLOW_DIVIDER == 0 else amplifier.changed(amplifier_state)
         if axes:
             amplifier.report(
                 amplifier_state,
@@ -627,7 +644,7 @@ def _advance(
                 faults,
             )
             # As from the node, a message about some axes repeats what was last said of the others.
-            for axis in range(3):
+            for axis in range(motors):
                 amplifier_i2t[amplifier_row, 0, axis] = i2t[0, axis]
                 amplifier_i2t[amplifier_row, 1, axis] = i2t[1, axis]
                 amplifier_bits[amplifier_row, 0, axis] = limits[axis]

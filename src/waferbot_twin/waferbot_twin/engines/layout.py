@@ -10,7 +10,6 @@ from typing import Any
 
 from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
@@ -20,6 +19,7 @@ from waferbot_lockstep.contract import (
     SERVO_STATE,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.node_settings import MACHINE_AXES, MACHINE_ENCODERS
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.standard_messages import CLOCK, JOINT_STATES
 from waferbot_pmac.user_units import units_text
@@ -88,16 +88,20 @@ def layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, NodeLayout]]:
         'end_tick': plan.ticks,
         'startup_timeout_s': options.startup_timeout_s,
     }
+    machine = plan.model.layout
+    named = {MACHINE_AXES: list(machine.axes), MACHINE_ENCODERS: list(machine.encoders)}
     extra: dict[str, dict[str, Any]] = {
         'plant': {'start_paused': True, 'recorder_window': RECORDER_WINDOW},
         'pmac': {
             'experiment': plan.experiment.text,
             'units': units_text(plan.model.axis_units),
+            **named,
         },
-        'copley': {},
+        'copley': named,
     }
     if options.device_clock:
         extra['copley'] = {
+            **named,
             'device_clock': options.device_clock,
             'device_timeout_s': options.device_timeout_s,
         }
@@ -106,11 +110,11 @@ def layout(plan: Plan, options: RosOptions) -> Iterator[tuple[str, NodeLayout]]:
             continue
         parameters = {**timing, **plan.model.parameters[node], **own}
         if node == 'copley' and options.one_copley_per_axis:
-            for axis in AXES:
+            for axis in machine.axes:
                 name = f'copley_{axis}'
                 if name in options.without:
                     continue
-                mine = {key: value for key, value in parameters.items() if key not in AXES}
+                mine = {key: value for key, value in parameters.items() if key not in machine.axes}
                 mine[axis] = parameters.get(axis, {})
                 yield name, (node, {**mine, 'axes': [axis], **options.overrides.get(name, {})})
         else:
@@ -123,7 +127,7 @@ TOPICS_OF = {
         PHASE_CURRENTS.name,
         CLOCK[0],
         JOINT_STATES[0],
-        PLANT_STATE[0],
+        PLANT_STATE.name,
     ),
     'pmac': (CURRENT_COMMAND.name, SERVO_STATE.name),
     'copley': (PHASE_VOLTAGES.name, AMPLIFIER_STATE.name),
@@ -145,9 +149,9 @@ def on_channel(
     return {name: (kind, {**parameters, **extra}) for name, (kind, parameters) in nodes.items()}
 
 
-def check_names(options: RosOptions) -> None:
+def check_names(options: RosOptions, axes: Sequence[str]) -> None:
     """Refuse to leave out a node that this twin does not have."""
-    copleys = [f'copley_{axis}' for axis in AXES] if options.one_copley_per_axis else []
+    copleys = [f'copley_{axis}' for axis in axes] if options.one_copley_per_axis else []
     known = [*NODES, *copleys]
     for name in options.without:
         if name not in known:

@@ -19,9 +19,10 @@ from rclpy.signals import SignalHandlerOptions
 from waferbot_lockstep.contract import Topic
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.interrupt import Interrupt
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.node import LockstepNode, make_executor
 from waferbot_lockstep.ros_logs import ensure_log_folder
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import wire_of
 from waferbot_twin.engines.domain import Domain, check_loopback
 from waferbot_twin.engines.layout import RosOptions, layout
 from waferbot_twin.engines.members import END_TIMEOUT_S, SeparateProcesses
@@ -41,12 +42,8 @@ class Player(LockstepNode):
     def __init__(self, recording: Recording, node: str, ticks: int, **node_options: Any) -> None:
         """Prepare to play `ticks` ticks to `node`."""
         outputs = OUTPUTS[node]
-        super().__init__(
-            'replay',
-            {topic: topic.all_places for topic in outputs},
-            SPOKEN_FOR[node],
-            **node_options,
-        )
+        self._layout = recording.layout
+        super().__init__('replay', outputs, SPOKEN_FOR[node], **node_options)
         self.ticks = ticks
         self._tick = 0
         # Within a tick the plant speaks first; to every other node the player does.
@@ -56,11 +53,15 @@ class Player(LockstepNode):
             for topic in SPOKEN_FOR[node]
         }
         self.answers = {
-            topic: WireFormat(topic.type_name).blank(
+            topic: wire_of(topic, self.layout).blank(
                 self.timing.messages(ticks, topic.ticks_between(self.timing))
             )
             for topic in outputs
         }
+
+    def find_layout(self) -> Layout:
+        """Return the axes and encoders of the recording's machine."""
+        return self._layout
 
     @property
     def tick(self) -> int:
@@ -97,7 +98,8 @@ class Player(LockstepNode):
     def _play(self) -> None:
         for topic, (rows, spacing) in self._inputs.items():
             if self._tick % spacing == 0:
-                self.give(topic, self._tick, topic.all_places, rows[self._tick // spacing])
+                places = topic.all_places(self.layout)
+                self.give(topic, self._tick, places, rows[self._tick // spacing])
 
 
 def replay_over_ros(
@@ -108,6 +110,7 @@ def replay_over_ros(
 
     Raises `UserError` if an input was not recorded from tick 0 on, or the node stops with an error.
     """
+    recording.check_machine(plan.model.layout)
     check_inputs(recording, node)
     ticks = min(
         len(recording[topic]) * topic.ticks_between(plan.timing) for topic in SPOKEN_FOR[node]
@@ -151,7 +154,9 @@ def replay_over_ros(
     return [
         difference
         for topic in OUTPUTS[node]
-        for difference in compare(topic, _until(recording[topic], ticks), player.answers[topic])
+        for difference in compare(
+            topic, _until(recording[topic], ticks), player.answers[topic], recording.layout
+        )
     ]
 
 

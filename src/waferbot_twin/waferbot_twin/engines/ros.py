@@ -85,7 +85,8 @@ def run(
     that is not driven any more; the recording up to there is closed and readable.
     """
     options = options or RosOptions()
-    check_names(options)
+    layout = plan.model.layout
+    check_names(options, layout.axes)
     if not options.composed:
         check_loopback()
     with contextlib.ExitStack() as stack:
@@ -116,11 +117,12 @@ def run(
         recorder = Recorder(
             writer,
             plan.timing,
-            {**reported(options.without), **_commands_needed(options)},
+            {**reported(options.without, layout), **_commands_needed(options)},
             clock_needed='plant' not in options.without,
             loads_needed=plan.foreign_plant is None,
             exchange=None if options.delivery == TOPICS else exchange,
             validity=validity,
+            layout=layout,
         )
         stack.callback(recorder.destroy_node)
         members = Together(

@@ -21,20 +21,21 @@ import numpy as np
 
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import AXES, USUAL_UNITS
+from waferbot_lockstep.contract import USUAL_UNITS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import plant
 from waferbot_plant.motors import check_windings
 from waferbot_plant.signals import (
-    COUNTS,
-    LINES,
-    OPEN,
-    VOLTAGES,
     Variable,
+    counts,
+    lines,
     per_axis,
     positions,
     speeds,
+    terminals,
+    voltages,
 )
 from waferbot_pmac import servo
 from waferbot_pmac.i_variables import servo_parameters
@@ -44,30 +45,34 @@ from waferbot_twin.engines.inprocess import open_terminals
 KINDS = ('plant', 'twin', 'pmac', 'copley')
 
 Floats = np.ndarray
-COMMANDS = per_axis('current_command', 'A', 'current command, peak of the sine')
-ERRORS = per_axis('following_error', 'count', 'following error')
 
 Variables = tuple[Variable, ...]
 
 
-def variables_of(kind: str, units: Mapping[str, str] = USUAL_UNITS) -> tuple[Variables, Variables]:
+def variables_of(
+    kind: str, units: Mapping[str, str] = USUAL_UNITS, layout: Layout = SHIPPED
+) -> tuple[Variables, Variables]:
     """
     Return inputs and outputs of a kind of block, in the order of its arrays.
 
     Of a machine whose axes have these units, m or rad: `Description.axis_units`.
     """
+    commands = per_axis('current_command', 'A', 'current command, peak of the sine', layout)
+    errors = per_axis('following_error', 'count', 'following error', layout)
+    driven = (*voltages(layout), *terminals(layout))
+    seen, measured = counts(layout), lines(layout)
     commanded = tuple(
         Variable(
             f'{axis}_commanded', units[axis], f'{axis}: commanded position, from where it began'
         )
-        for axis in AXES
+        for axis in layout.axes
     )
-    shown = (*COUNTS, *LINES, *positions(units), *speeds(units))
+    shown = (*seen, *measured, *positions(units), *speeds(units))
     return {
-        'plant': ((*VOLTAGES, *OPEN), shown),
-        'twin': (commanded, (*shown, *COMMANDS)),
-        'pmac': ((*commanded, *COUNTS), (*COMMANDS, *ERRORS)),
-        'copley': ((*COMMANDS, *LINES, *COUNTS), (*VOLTAGES, *OPEN)),
+        'plant': (driven, shown),
+        'twin': (commanded, (*shown, *commands)),
+        'pmac': ((*commanded, *seen), (*commands, *errors)),
+        'copley': ((*commands, *measured, *seen), driven),
     }[kind]
 
 
@@ -82,15 +87,18 @@ class PlantBlock:
         self._parameters = machine.parameters()
         self._state = machine.resting_state(self._parameters)
         self._tick = 0
-        self._counts, self._lines = np.zeros(4, np.int64), np.zeros(6)
-        self._motion = np.zeros((2, 3))
+        axes = self._axes = len(machine.layout.axes)
+        self._counts = np.zeros(len(machine.layout.encoders), np.int64)
+        self._lines = np.zeros(2 * axes)
+        self._motion = np.zeros((2, axes))
         self._measure()
 
     def step(self, inputs: Floats) -> None:
         """Advance by a tick with the inputs held."""
-        mask = sum(1 << axis for axis in range(3) if inputs[9 + axis] != 0.0)
+        voltage, opened = np.split(inputs, (3 * self._axes,))
+        mask = sum(1 << axis for axis, off in enumerate(opened) if off != 0.0)
         open_terminals(self._state, mask)
-        plant.advance(self._state, self._parameters, np.ascontiguousarray(inputs[:9]))
+        plant.advance(self._state, self._parameters, np.ascontiguousarray(voltage))
         self._tick += 1
         self._measure()
         coordinate = plant.runaway(self._state)
@@ -112,20 +120,22 @@ class PmacBlock:
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin with all loops open; they close at the counts of the first tick."""
         self._timing = timing
-        self._parameters = servo_parameters(variant.pmac, variant.name)
+        axes = self._axes = len(variant.layout.axes)
+        self._parameters = servo_parameters(variant.pmac, variant.name, variant.layout)
         self._state = servo.initial_state(self._parameters)
-        self._start = np.zeros(3)
-        self._current = np.zeros(3)
+        self._start = np.zeros(axes)
+        self._current = np.zeros(axes)
         self._tick = 0
 
     def step(self, inputs: Floats) -> None:
         """Run a servo cycle if it is time for one."""
         if self._tick % self._timing.servo_divider == 0:
-            counts = np.rint(inputs[3:]).astype(np.int64)
+            commanded, readings = np.split(inputs, (self._axes,))
+            counts = np.rint(readings).astype(np.int64)
             if self._tick == 0:
                 self._start = counts[self._parameters['Ixx03'][0]].astype(float)
                 servo.prime(self._state, self._parameters, counts, self._start)
-            target = self._start + inputs[:3] * self._parameters['counts_per_unit'][0]
+            target = self._start + commanded * self._parameters['counts_per_unit'][0]
             servo.step(self._state, self._parameters, counts, target, self._current)
         self._tick += 1
 
@@ -139,20 +149,31 @@ class CopleyBlock:
 
     def __init__(self, variant: Variant, timing: Timing) -> None:
         """Begin at rest; raises `UserError`."""
-        self._parameters = amplifier_parameters(variant.copley, timing, variant.name)
+        self._layout = variant.layout
+        self._parameters = amplifier_parameters(variant.copley, timing, variant.name, self._layout)
         self._state = amplifier.initial_state(self._parameters)
-        self._voltage = np.zeros(9)
+        self._voltage = np.zeros(3 * len(self._layout.axes))
 
     def step(self, inputs: Floats) -> None:
         """Run a tick of the current loops."""
-        counts = np.rint(inputs[9:]).astype(np.int64)
-        command, lines = inputs[:3].copy(), inputs[3:9].copy()
-        amplifier.step(self._state, self._parameters, 7, command, lines, counts, self._voltage)
+        axes = len(self._layout.axes)
+        command, lines, readings = (part.copy() for part in np.split(inputs, (axes, 3 * axes)))
+        counts = np.rint(readings).astype(np.int64)
+        amplifier.step(
+            self._state,
+            self._parameters,
+            self._layout.all_axes,
+            command,
+            lines,
+            counts,
+            self._voltage,
+        )
 
     def values(self) -> Floats:
         """Return the outputs."""
         mask = amplifier.open_bridges(self._state)
-        return np.concatenate([self._voltage, [float(mask >> axis & 1) for axis in range(3)]])
+        opened = [float(mask >> axis & 1) for axis in range(len(self._layout.axes))]
+        return np.concatenate([self._voltage, opened])
 
 
 class TwinBlock:
@@ -163,18 +184,20 @@ class TwinBlock:
         self._plant = PlantBlock(variant, timing)
         self._pmac = PmacBlock(variant, timing)
         self._copley = CopleyBlock(variant, timing)
+        self._axes, self._encoders = len(variant.layout.axes), len(variant.layout.encoders)
 
     def step(self, inputs: Floats) -> None:
         """Run a tick: PMAC, Copley, plant."""
-        shown = self._plant.values()
-        self._pmac.step(np.concatenate([inputs, shown[:4]]))
-        command = self._pmac.values()[:3]
-        self._copley.step(np.concatenate([command, shown[4:10], shown[:4]]))
+        edges = (self._encoders, self._encoders + 2 * self._axes)
+        readings, lines, _ = np.split(self._plant.values(), edges)
+        self._pmac.step(np.concatenate([inputs, readings]))
+        command = self._pmac.values()[: self._axes]
+        self._copley.step(np.concatenate([command, lines, readings]))
         self._plant.step(self._copley.values())
 
     def values(self) -> Floats:
         """Return the outputs."""
-        return np.concatenate([self._plant.values(), self._pmac.values()[:3]])
+        return np.concatenate([self._plant.values(), self._pmac.values()[: self._axes]])
 
 
 Block = PlantBlock | PmacBlock | CopleyBlock | TwinBlock

@@ -20,34 +20,35 @@ from waferbot_twin.engines.inprocess import Signals, Twin
 def advance(twin: Twin, foreign: ForeignPlant, ticks: int) -> Signals:
     """Run the next `ticks` ticks of a twin with a foreign plant in the place of its own."""
     timing = twin.timing
-    signals = Signals(twin.tick, ticks, timing)
+    signals = Signals(twin.tick, ticks, timing, twin.layout)
+    axes, all_axes = len(twin.layout.axes), twin.layout.all_axes
     messages = 0
     rows = {'counts': 0, 'servo': 0, 'slow': 0}
     for row in range(ticks):
         tick = twin.tick + row
-        shown = foreign.values()
-        line_current = shown[4:10].copy()
+        counts, lines, position, velocity = foreign.parts(foreign.values())
+        line_current = lines.copy()
         signals.line_current[row] = line_current
         if tick % timing.encoder_divider == 0:
-            twin._counts[:] = np.rint(shown[:4])
+            twin._counts[:] = np.rint(counts)
             signals.counts[rows['counts']] = twin._counts
             rows['counts'] += 1
         if tick % SLOW_DIVIDER == 0:
-            signals.joint_position[rows['slow']] = shown[10:13]
-            signals.joint_velocity[rows['slow']] = shown[13:16]
+            signals.joint_position[rows['slow']] = position
+            signals.joint_velocity[rows['slow']] = velocity
             rows['slow'] += 1
         if tick % timing.servo_divider == 0:
             _servo_cycle(twin, tick // timing.servo_divider, signals, rows['servo'])
             rows['servo'] += 1
         amplifier.step(
-            twin.amplifier_state, twin.amplifier_parameters, 7, twin._current, line_current,
+            twin.amplifier_state, twin.amplifier_parameters, all_axes, twin._current, line_current,
             twin._counts, signals.voltage[row],
         )  # fmt: skip
         mask = amplifier.open_bridges(twin.amplifier_state)
         signals.open_bridges[row] = mask
-        axes = 7 if tick % SLOW_DIVIDER == 0 else amplifier.changed(twin.amplifier_state)
-        if axes:
-            limits, faults = np.zeros(3, np.uint8), np.zeros(3, np.uint32)
+        told = all_axes if tick % SLOW_DIVIDER == 0 else amplifier.changed(twin.amplifier_state)
+        if told:
+            limits, faults = np.zeros(axes, np.uint8), np.zeros(axes, np.uint32)
             i2t = signals.amplifier_i2t[messages]
             if messages:
                 i2t[:] = signals.amplifier_i2t[messages - 1]
@@ -55,14 +56,14 @@ def advance(twin: Twin, foreign: ForeignPlant, ticks: int) -> Signals:
             amplifier.report(
                 twin.amplifier_state,
                 twin.amplifier_parameters,
-                axes,
+                told,
                 i2t[0],
                 i2t[1],
                 limits,
                 faults,
             )
             signals.amplifier_bits[messages] = limits, faults
-            signals.amplifier_tick[messages], signals.amplifier_axes[messages] = tick, axes
+            signals.amplifier_tick[messages], signals.amplifier_axes[messages] = tick, told
             messages += 1
         foreign.step(tick, signals.voltage[row], mask)
     signals.amplifier_messages[0] = messages

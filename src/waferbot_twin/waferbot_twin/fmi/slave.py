@@ -37,7 +37,7 @@ class Runner:
         self.variant = Variant.of(load_model(str(folder / 'model.yaml')))
         self.timing = Timing()
         self.input_variables, self.output_variables = variables_of(
-            self.about['kind'], self.variant.description.axis_units
+            self.about['kind'], self.variant.description.axis_units, self.variant.layout
         )
         self.input_names = [variable.name for variable in self.input_variables]
         self.output_names = [variable.name for variable in self.output_variables]

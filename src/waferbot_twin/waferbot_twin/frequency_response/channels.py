@@ -20,18 +20,17 @@ measurement and simulation alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import did_you_mean
 from waferbot_twin.effects.places import force_per_ampere, motor_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.frequency_response.estimate import Array, ComplexArray, Run
-from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
+from waferbot_twin.logs.kinds import KINDS, UNITS, axes_in_order, is_linear
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
@@ -85,12 +84,12 @@ RESPONSES = {
 """Responses by name: from which channel to which."""
 
 
-def parse_channel(text: str, axis: str) -> Channel:
-    """Read `KIND` or `AXIS.KIND`; raises `UserError` for what is no channel."""
+def parse_channel(text: str, axis: str, axes: Sequence[str]) -> Channel:
+    """Read `KIND` or `AXIS.KIND` of these axes; raises `UserError` for what is no channel."""
     first, dot, last = text.rpartition('.')
     kinds = (*KINDS, 'acceleration')
-    if dot and first not in AXES:
-        raise UserError(f'{text}: no axis {first!r}{did_you_mean(first, AXES)}')
+    if dot and first not in axes:
+        raise UserError(f'{text}: no axis {first!r}{did_you_mean(first, axes)}')
     if last not in kinds:
         raise UserError(
             f'{text}: no signal {last!r}{did_you_mean(last, kinds)} (signals: {", ".join(kinds)})'
@@ -105,16 +104,17 @@ def moving_axis(logs: Iterable[MeasuredLog]) -> str:
     Raises `UserError` if there are several.
     """
     logs = list(logs)
+    axes = axes_in_order(axis for log in logs for axis in log.axes())
     moved = [
         axis
-        for axis in AXES
+        for axis in axes
         if any(
             (signal := log.get(axis, 'commanded_position')) is not None
             and np.ptp(signal.value) > 0.0
             for log in logs
         )
     ]
-    candidates = moved or [axis for axis in AXES if any(axis in log.usable_axes() for log in logs)]
+    candidates = moved or [axis for axis in axes if any(axis in log.usable_axes() for log in logs)]
     if len(candidates) == 1:
         return candidates[0]
     found = ', '.join(candidates) or 'none'

@@ -9,15 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import (
-    ALL_AXES,
-    ALL_ENCODERS,
-    AXES,
-    CURRENT_COMMAND,
-    ENCODERS_TOPIC,
-    PHASE_CURRENTS,
-    SERVO_STATE,
-)
+from waferbot_lockstep.contract import CURRENT_COMMAND, ENCODERS_TOPIC, PHASE_CURRENTS, SERVO_STATE
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.i_variables import servo_parameters
@@ -46,7 +38,9 @@ def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> Measure
         raise UserError(
             f'{variant.name} is a machine alone: without its controller the loop cannot be run'
         )
-    there = [one for axis in AXES if (one := log.get(axis, 'commanded_position')) is not None]
+    there = [
+        one for axis in log.axes() if (one := log.get(axis, 'commanded_position')) is not None
+    ]
     if not there:
         raise UserError(f'{log.name}: without commanded positions the model cannot do the same')
     short, clock = with_short_pauses(there, 1.0 / timing.servo_hz)
@@ -55,9 +49,9 @@ def simulated_log(variant: Variant, log: MeasuredLog, timing: Timing) -> Measure
     end_s = max(signal.time_s[-1] + median_step_s(signal.time_s) for signal in known.values())
     cycles = round((end_s - begin_s) * timing.servo_hz)
     times_s = begin_s + np.arange(cycles) / timing.servo_hz
-    per_unit = servo_parameters(variant.pmac, variant.name)[0]['counts_per_unit']
-    commanded = np.zeros((cycles, len(AXES)))
-    for place, axis in enumerate(AXES):
+    per_unit = servo_parameters(variant.pmac, variant.name, variant.layout)[0]['counts_per_unit']
+    commanded = np.zeros((cycles, len(variant.layout.axes)))
+    for place, axis in enumerate(variant.layout.axes):
         if axis in known:
             commanded[:, place] = _without_gaps(known[axis].at(times_s)[0]) * per_unit[place]
     signals = run_commanded(variant, timing, commanded, cycles * timing.servo_divider)
@@ -85,23 +79,28 @@ def _recording_of(signals: Signals, name: str) -> Recording:
         ('commanded_position', 'following_error', 'output'),
         np.split(signals.servo_state, 5, axis=1), strict=False,
     ))  # fmt: skip
+    layout = signals.layout
     every = range(signals.first, signals.first + signals.ticks)
     tables = {
-        ENCODERS_TOPIC.name: (signals.encoder_ticks, ALL_ENCODERS, {'counts': signals.counts}),
-        PHASE_CURRENTS.name: (every, ALL_AXES, {'current': signals.line_current}),
+        ENCODERS_TOPIC.name: (signals.encoder_ticks, layout.all_encoders, {'counts': signals.counts}),
+        PHASE_CURRENTS.name: (every, layout.all_axes, {'current': signals.line_current}),
         CURRENT_COMMAND.name: (
-            signals.servo_ticks, ALL_AXES, {'current': signals.current_command}
+            signals.servo_ticks, layout.all_axes, {'current': signals.current_command}
         ),
-        SERVO_STATE.name: (signals.servo_ticks, ALL_AXES, servo),
+        SERVO_STATE.name: (signals.servo_ticks, layout.all_axes, servo),
     }  # fmt: skip
     topics = {}
     for topic, (ticks, valid, columns) in tables.items():
-        fields: list[Any] = [('tick', np.uint64), ('valid', np.uint8)]
+        fields: list[Any] = [('tick', np.uint64), ('valid', np.uint16)]
         fields += [(field, values.dtype, values.shape[1:]) for field, values in columns.items()]
         table = np.zeros(len(ticks), fields)
         table['tick'], table['valid'] = ticks, valid
         for field, values in columns.items():
             table[field] = values
         topics[topic] = table
-    run = {'timing': asdict(signals.timing)}
+    run = {
+        'timing': asdict(signals.timing),
+        'axes': list(layout.axes),
+        'encoders': list(layout.encoders),
+    }
     return Recording(Path(name), topics, {}, {}, True, {'run.json': as_json(run)})

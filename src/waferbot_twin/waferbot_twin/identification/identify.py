@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.signal import lfilter
 
-from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.known_values import Known
@@ -166,7 +165,9 @@ def _whiteness(part: BlockOfLog, name: str, white: Array, order: int) -> Whitene
     """Return how white a channel is; None where it is rounding that is left over, or it is short."""
     if order == 0 or len(white) <= 2 * LAGS:
         return None
-    commanded = part.record.path_commanded(AXIS_OF[name]) if name in ENCODERS else None
+    layout = part.record.layout
+    known = name in layout.encoders
+    commanded = part.record.path_commanded(layout.axis_of(name)) if known else None
     if commanded is None:
         return whiteness(white, order)
     # What was commanded when each sample was taken; the first ones are left out by the whitening.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, USUAL_TITLES
+from waferbot_lockstep.contract import USUAL_TITLES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
@@ -41,6 +41,7 @@ from waferbot_twin.estimation.residual_curves import (
     position_spectrum,
 )
 from waferbot_twin.logs.alignment import common_skew
+from waferbot_twin.logs.kinds import axes_in_order
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
@@ -135,7 +136,7 @@ def identify_by_least_squares(
     ampere where a log has no force. Raises `UserError` if no axis can be fitted.
     """
     options = options or Options()
-    axes = [axis for axis in AXES if any(axis in log.usable_axes() for log in logs)]
+    axes = axes_in_order(axis for log in logs for axis in log.usable_axes())
     fits, complaints = [], []
     for axis in axes:
         try:

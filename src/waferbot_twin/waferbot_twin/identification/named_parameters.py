@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from waferbot_copley.settings import settings_of as amplifier_settings
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.marked_yaml import Key
 from waferbot_lockstep.parameters import Parameter as Setting
 from waferbot_lockstep.parameters import did_you_mean
@@ -40,7 +40,7 @@ from waferbot_twin.residuals.problem import Cause
 USUAL_RANGE = 10.0
 """Where no range is given, a value may become this many times larger or smaller."""
 
-SETTINGS: dict[str, Callable[[str], tuple[Setting, ...]]] = {
+SETTINGS: dict[str, Callable[[str, Layout], tuple[Setting, ...]]] = {
     'pmac': controller_settings,
     'copley': amplifier_settings,
 }
@@ -192,9 +192,10 @@ def _setting(path: str, variant: Variant) -> NamedParameter:
     if len(rest) != 2:
         raise UserError(f'{path}: a setting is named {device}.AXIS.NAME')
     axis, name = rest
-    if axis not in AXES:
-        raise UserError(f'{path}: no axis {axis!r}{did_you_mean(axis, AXES)}')
-    known = {setting.name: setting for setting in SETTINGS[device](axis)}
+    layout = variant.layout
+    if axis not in layout.axes:
+        raise UserError(f'{path}: no axis {axis!r}{did_you_mean(axis, layout.axes)}')
+    known = {setting.name: setting for setting in SETTINGS[device](axis, layout)}
     if name not in known:
         raise UserError(f'{path}: no setting {name!r}{did_you_mean(name, known)}')
     own = (variant.pmac if device == 'pmac' else variant.copley).get(axis, {})

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.contract import (
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
@@ -29,7 +28,7 @@ from waferbot_twin.logs.columns import Column
 from waferbot_twin.logs.counting import FLOOR, counted
 from waferbot_twin.logs.findings import Finding
 from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
-from waferbot_twin.logs.machine import Controls, encoder_name
+from waferbot_twin.logs.machine import Controls
 from waferbot_twin.logs.measured import Signal
 from waferbot_twin.recording.reader import Recording
 
@@ -50,7 +49,9 @@ class ContractSignals:
         self._topics = recording.topics
         self._controls = controls
         self._hz = controls.timing.current_loop_hz
-        for axis in range(len(AXES)):
+        self._layout = controls.machine.layout
+        recording.check_machine(self._layout)
+        for axis in range(len(self._layout.axes)):
             self._positions(axis)
             self._servo(axis)
             self._currents(axis)
@@ -65,10 +66,12 @@ class ContractSignals:
         delay_s = self._controls.timing.encoder_divider * self._controls.timing.tick_s
         encoders = {'position': (first, float(servo['counts_per_unit'][axis]))}
         if second != first:
-            per_unit = machine.counts_per_unit.get(encoder_name(second))
+            encoder_name = self._layout.encoders[second]
+            per_unit = machine.counts_per_unit.get(encoder_name)
             if per_unit is None:
-                reason = f'the machine has no encoder {encoder_name(second)}'
-                self.findings.append(Finding(f'{AXES[axis]}.motor_position', reason))
+                reason = f'the machine has no encoder {encoder_name}'
+                where = f'{self._layout.axes[axis]}.motor_position'
+                self.findings.append(Finding(where, reason))
             else:
                 encoders['motor_position'] = (second, per_unit)
         for kind, (encoder, per_unit) in encoders.items():
@@ -143,7 +146,8 @@ class ContractSignals:
             reason = (
                 'without the counts of its commutation encoder nobody knows which part makes force'
             )
-            self.findings.append(Finding(f'{self._path}, topic {topic}, {AXES[axis]}', reason))
+            where = f'{self._path}, topic {topic}, {self._layout.axes[axis]}'
+            self.findings.append(Finding(where, reason))
 
     def _add_average(
         self,
@@ -177,7 +181,7 @@ class ContractSignals:
         """Add a signal; `up`: it is one of counts, which rise as it does, or fall."""
         if len(time_s) == 0:
             return
-        name = AXES[axis]
+        name = self._layout.axes[axis]
         linear = is_linear(name, self._controls.machine.linear)
         unit = UNITS[KINDS[kind].quantity(linear)]
         sample = np.arange(len(value))

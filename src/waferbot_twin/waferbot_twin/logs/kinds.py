@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from waferbot_lockstep.contract import AXES, USUAL_UNITS
+from waferbot_lockstep.contract import USUAL_UNITS
+from waferbot_lockstep.layout import SHIPPED
 
 
 @dataclass(frozen=True)
@@ -93,9 +94,13 @@ SAME_KIND = {'torque': 'force'}
 
 def is_linear(axis: str, linear: Mapping[str, bool] | None = None) -> bool:
     """Tell whether an axis moves by metres: `linear`, what a description says, or as is usual."""
-    return (linear or {}).get(axis, USUAL_UNITS[axis] == 'm')
+    return (linear or {}).get(axis, USUAL_UNITS.get(axis) == 'm')
 
 
-def place_in_order(axis: str, kind: str) -> tuple[int, int]:
-    """Return the sort key of a signal: axis by axis, in the order of `KINDS`."""
-    return AXES.index(axis), list(KINDS).index(kind)
+def axes_in_order(axes: Iterable[str]) -> tuple[str, ...]:
+    """Return the axes that come in a log, each once: those of the shipped machine first, as there."""
+    found = dict.fromkeys(axes)
+    return (
+        *(axis for axis in SHIPPED.axes if axis in found),
+        *(axis for axis in found if axis not in SHIPPED.axes),
+    )

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_source
 from waferbot_twin.logs.archive import is_archive, read_archive, write_archive
@@ -196,16 +196,18 @@ def _from_contract(
         chosen = model
     controls = controls_of(chosen, recording.timing, str(path))
     taken = ContractSignals(recording, controls)
-    peaks = {axis: float(controls.amplifier['peak_limit'][row]) for row, axis in enumerate(AXES)}
+    limits = controls.amplifier['peak_limit'].tolist()
+    peaks = dict(zip(controls.machine.layout.axes, limits, strict=True))
     return Collected(taken.signals, taken.findings), peaks
 
 
 def _joint_states(bag: BagColumns, machine: str | None) -> LogMapping | None:
     """Return what joint states there are as a mapping, None if there are none."""
-    joints = {axis: axis for axis in AXES}
+    joints = {axis: axis for axis in SHIPPED.axes}
     constants = None
     if machine:
         description = load_description(description_source(machine))
+        joints = {axis: axis for axis in description.layout.axes}
         constants = machine_of(description)
         joints |= {coordinate: axis for axis, coordinate in description.axes.items()}
     sources = joint_state_sources(bag, joints, constants)

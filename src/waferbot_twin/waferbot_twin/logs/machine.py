@@ -15,26 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from waferbot_copley.settings import amplifier_parameters
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
+from waferbot_lockstep.parameters import did_you_mean
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.description import Description
 from waferbot_plant.description_file import load_description
 from waferbot_plant.plant import description_source
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.models import Model
-
-POSITION_ENCODER = {
-    'y_linear': 'y_linear',
-    'x_rotate': 'x_rotate',
-    'y_rotate': 'y_rotate_load',
-}
-MOTOR_ENCODER = {
-    'y_linear': 'y_linear',
-    'x_rotate': 'x_rotate',
-    'y_rotate': 'y_rotate_motor',
-}
-"""The encoders (places of the contract) behind `position` and `motor_position` of each axis."""
 
 
 @dataclass(frozen=True)
@@ -43,22 +32,37 @@ class Machine:
     What is known of the machine that a log is of.
 
     `linear` tells for each axis whether it moves by metres; `counts_per_unit` is counts per m or rad
-    by place of the contract, of the encoder's own coordinate; `countings` how each counts in logs.
+    by name of the encoder, of its own coordinate; `countings` how each counts in logs.
     """
 
     name: str
     linear: Mapping[str, bool]
     counts_per_unit: Mapping[str, float]
     countings: Mapping[str, str] = field(default_factory=dict)
+    layout: Layout = SHIPPED
+
+    def encoder(self, axis: str, kind: str) -> str:
+        """
+        Return the encoder behind `position` (that of the load, if there are two) or `motor_position`.
+
+        Raises `UserError` for an axis that the machine lacks.
+        """
+        own = self.layout.encoders_of(axis)
+        if not own:
+            raise UserError(
+                f'machine {self.name} has no axis {axis}{did_you_mean(axis, self.layout.axes)}'
+            )
+        return own[-1] if kind == 'motor_position' else own[0]
 
     def counting(self, axis: str, kind: str) -> str:
         """Return how the encoder behind a position counts in logs, '' where nobody says."""
-        places = {'position': POSITION_ENCODER, 'motor_position': MOTOR_ENCODER}
-        return self.countings.get(places[kind][axis], '') if kind in places else ''
+        if kind not in ('position', 'motor_position'):
+            return ''
+        return self.countings.get(self.encoder(axis, kind), '')
 
     def counts(self, axis: str, kind: str) -> float:
         """Return the counts per m or rad behind a kind of signal; raises `UserError`."""
-        place = (MOTOR_ENCODER if kind == 'motor_position' else POSITION_ENCODER)[axis]
+        place = self.encoder(axis, kind)
         if place not in self.counts_per_unit:
             known = ', '.join(self.counts_per_unit) or 'none'
             raise UserError(
@@ -75,6 +79,7 @@ def machine_of(description: Description) -> Machine:
         {axis: not description.turns(axis) for axis in description.axes},
         {place: encoder.counts_per_unit for place, encoder in description.encoders.items()},
         {place: encoder.counting for place, encoder in description.encoders.items()},
+        description.layout,
     )
 
 
@@ -99,12 +104,7 @@ def controls_of(model: Model, timing: Timing, where: str) -> Controls:
     damping = str(model.parameters['plant'].get('damping', 'improved'))
     return Controls(
         timing,
-        servo_parameters(model.of_axes('pmac'), where)[0],
-        amplifier_parameters(model.of_axes('copley'), timing, where)[0],
+        servo_parameters(model.of_axes('pmac'), where, model.layout)[0],
+        amplifier_parameters(model.of_axes('copley'), timing, where, model.layout)[0],
         machine_of(load_description(source, damping=damping)),
     )
-
-
-def encoder_name(place: int) -> str:
-    """Return the name of an encoder by its place in `Encoders.counts`."""
-    return ENCODERS[place]

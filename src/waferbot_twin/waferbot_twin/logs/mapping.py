@@ -17,6 +17,7 @@ from typing import Any
 import jsonschema
 
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_lockstep.marked_yaml import Document, Key, first_complaint, parse, read
 from waferbot_lockstep.package_data import package_data
 from waferbot_lockstep.parameters import did_you_mean
@@ -256,6 +257,13 @@ def _signal(
             (*key, 'kind'),
             f'there is no kind {given_kind!r}{did_you_mean(given_kind, names)} '
             f'(kinds: {", ".join(names)})',
+        )
+    axes = machine.layout.axes if machine else SHIPPED.axes
+    if axis not in axes:
+        hint = '' if machine else '; of a machine with axes of its own, name it: machine: FILE'
+        raise document.error(
+            (*key, 'axis'),
+            f'there is no axis {axis!r}{did_you_mean(axis, axes)} (axes: {", ".join(axes)}{hint})',
         )
     linear = is_linear(axis, machine.linear if machine else None)
     if given_kind == 'torque' and linear:

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.logs.findings import Finding
-from waferbot_twin.logs.kinds import DRIVES, KINDS, place_in_order
+from waferbot_twin.logs.kinds import DRIVES, KINDS, axes_in_order
 from waferbot_twin.logs.timebase import longest_step_s, median_step_s
 
 Array = NDArray[np.float64]
@@ -53,7 +52,7 @@ class Signal:
 
     def __post_init__(self) -> None:
         """Refuse what is no signal; readers clean their data before they make one."""
-        if self.axis not in AXES or self.kind not in KINDS:
+        if not self.axis.isidentifier() or self.kind not in KINDS:
             raise ValueError(f'{self.axis}.{self.kind} is no signal')
         if self.time_s.shape != self.value.shape or self.time_s.ndim != 1:
             raise ValueError(f'{self.name}: times and values do not go together')
@@ -163,7 +162,10 @@ class MeasuredLog:
 
     def __post_init__(self) -> None:
         """Put the signals in order; refuse two of the same axis and kind."""
-        ordered = sorted(self.signals, key=lambda signal: place_in_order(signal.axis, signal.kind))
+        axes, kinds = axes_in_order(signal.axis for signal in self.signals), list(KINDS)
+        ordered = sorted(
+            self.signals, key=lambda one: (axes.index(one.axis), kinds.index(one.kind))
+        )
         object.__setattr__(self, 'signals', tuple(ordered))
         self._by_key.clear()
         for signal in ordered:
@@ -188,7 +190,7 @@ class MeasuredLog:
 
     def axes(self) -> tuple[str, ...]:
         """Return the axes of which there is anything."""
-        return tuple(axis for axis in AXES if any(key[0] == axis for key in self._by_key))
+        return axes_in_order(axis for axis, _ in self._by_key)
 
     def usable_axes(self) -> tuple[str, ...]:
         """Return the axes with the least that a diagnosis needs: position and what drives it."""

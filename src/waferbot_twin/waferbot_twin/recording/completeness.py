@@ -14,26 +14,26 @@ import numpy as np
 
 from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
-    AXES,
     CONTRACT_TOPICS,
     SERVO_STATE,
     SLOW_DIVIDER,
     Topic,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.recording.writer import RecordingWriter
 
 
-def reported(without: Sequence[str]) -> dict[Topic, int]:
+def reported(without: Sequence[str], layout: Layout = SHIPPED) -> dict[Topic, int]:
     """
     Return the places of the report topics that a run's own nodes speak for.
 
     `without` names the nodes that somebody else provides, who need not report their inner state.
     """
-    servo = 0 if 'pmac' in without else SERVO_STATE.all_places
-    amplifiers = 0 if 'copley' in without else AMPLIFIER_STATE.all_places
-    for axis, name in enumerate(AXES):
+    servo = 0 if 'pmac' in without else SERVO_STATE.all_places(layout)
+    amplifiers = 0 if 'copley' in without else AMPLIFIER_STATE.all_places(layout)
+    for axis, name in enumerate(layout.axes):
         if f'copley_{name}' in without:
             amplifiers &= ~(1 << axis)
     return {SERVO_STATE: servo, AMPLIFIER_STATE: amplifiers}
@@ -47,13 +47,16 @@ class TopicAccount:
     them was passed over, None if none was.
     """
 
-    def __init__(self, topic: Topic, timing: Timing, needed: int) -> None:
+    def __init__(
+        self, topic: Topic, timing: Timing, needed: int, layout: Layout = SHIPPED
+    ) -> None:
         """Begin with nothing recorded."""
         # The slow topic must have a message every so often and may have more.
         self.spacing = SLOW_DIVIDER if topic is AMPLIFIER_STATE else topic.ticks_between(timing)
         self.needed = needed
-        self.last = [-1] * len(topic.places)
-        self.given = [0] * len(topic.places)
+        places = len(topic.places(layout))
+        self.last = [-1] * places
+        self.given = [0] * places
         self.first_gap: int | None = None
 
     def is_new(self, tick: int, valid: int) -> bool:
@@ -106,12 +109,18 @@ class Account:
     must be there whole. (A node that somebody else provides need not report its inner state.)
     """
 
-    def __init__(self, timing: Timing, needed: Mapping[Topic, int] | None = None) -> None:
+    def __init__(
+        self,
+        timing: Timing,
+        needed: Mapping[Topic, int] | None = None,
+        layout: Layout = SHIPPED,
+    ) -> None:
         """Begin with nothing recorded."""
         self.timing = timing
+        self.layout = layout
         masks = needed or {}
         self.topics = {
-            topic: TopicAccount(topic, timing, masks.get(topic, topic.all_places))
+            topic: TopicAccount(topic, timing, masks.get(topic, topic.all_places(layout)), layout)
             for topic in CONTRACT_TOPICS
         }
 
@@ -140,7 +149,11 @@ class Account:
         """Return, by publisher, the topics of which a needed place has not been given yet."""
         found: dict[str, list[str]] = {}
         for topic, own in self.topics.items():
-            lacking = [topic.places[place] for place in own.needed_places() if own.last[place] < 0]
+            lacking = [
+                topic.places(self.layout)[place]
+                for place in own.needed_places()
+                if own.last[place] < 0
+            ]
             if lacking:
                 found.setdefault(topic.publisher, []).append(
                     f'{topic.name} ({", ".join(lacking)})'
@@ -156,8 +169,9 @@ class Account:
         first: dict[tuple[str, str], int] = {}
         for topic, own in self.topics.items():
             for place, tick in zip(own.needed_places(), own.reached(), strict=True):
-                if node in (topic.publisher, f'{topic.publisher}_{topic.places[place]}'):
-                    first[topic.name, topic.places[place]] = tick
+                name = topic.places(self.layout)[place]
+                if node in (topic.publisher, f'{topic.publisher}_{name}'):
+                    first[topic.name, name] = tick
         if not first:
             return 'none of its messages is recorded'
         (topic_name, place_name), tick = min(first.items(), key=lambda item: item[1])

@@ -25,8 +25,9 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Message, Metadata, 
 from waferbot_lockstep.contract import CONTRACT_TOPICS, PLANT_STATE, Topic
 from waferbot_lockstep.definitions import type_hash
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import WireFormat, wire_of
 from waferbot_twin.checked_json import TEXT, WHOLE, checked_json
 from waferbot_twin.recording.chunks import ChunkReader, Messages, one_message, parts_of
 
@@ -51,6 +52,8 @@ _RUN = {
         'ticks': WHOLE,
         'seed': WHOLE,
         'without': {'type': 'array', 'items': TEXT},
+        'axes': {'type': 'array', 'items': TEXT},
+        'encoders': {'type': 'array', 'items': TEXT},
         'timing': {
             'type': 'object',
             'properties': dict.fromkeys(
@@ -101,6 +104,27 @@ class Recording:
         text = self.attachments.get('run.json', '{}')
         run: dict[str, Any] = checked_json(text, _RUN, f'{self.path}: run.json')
         return run
+
+    @property
+    def layout(self) -> Layout:
+        """The axes and encoders of the machine (those of the shipped one if it does not say)."""
+        run = self.run
+        if 'axes' not in run or 'encoders' not in run:
+            return SHIPPED
+        return Layout(tuple(run['axes']), tuple(run['encoders']))
+
+    def check_machine(self, layout: Layout) -> None:
+        """Raise `UserError` if the recording is of a machine with other axes or encoders than these."""
+        own = self.layout
+        for what, mine, theirs in (
+            ('axes', own.axes, layout.axes),
+            ('encoders', own.encoders, layout.encoders),
+        ):
+            if mine != theirs:
+                raise UserError(
+                    f'{self.path}: it is of a machine with {what} {", ".join(mine)}; the model has '
+                    f'{", ".join(theirs)}'
+                )
 
     @property
     def timing(self) -> Timing:
@@ -217,25 +241,25 @@ def stream_recording(
     content = Content(closed=True)
     counts: dict[str, int] = {}
     known: dict[str, tuple[Topic, WireFormat] | None] = {}
-    plant_state = WireFormat(PLANT_STATE[1])
     empty: dict[str, np.ndarray] = {}
 
     def take_messages(name: str, messages: Messages) -> None:
         counts[name] = counts.get(name, 0) + len(messages)
-        if content.types[name] == PLANT_STATE[1]:
-            if take_plant_state is not None and content.hashes[name] == type_hash(PLANT_STATE[1]):
-                take_plant_state(_records_of(plant_state, messages))
-            return
         if name not in known:
             known[name] = _wire_of(name, content, file)
         found = known[name]
+        if found is not None and found[0] is PLANT_STATE:
+            if take_plant_state is not None:
+                take_plant_state(_records_of(found[1], messages))
+            return
         if found is not None:
             topic, wire = found
             take(topic, _records_of(wire, messages))
 
     _read_file(file, content, take_messages, progress)
     for name in content.types:
-        if (of_name := _wire_of(name, content, file)) is not None:
+        of_name = known[name] if name in known else _wire_of(name, content, file)
+        if of_name is not None and of_name[0] is not PLANT_STATE:
             empty[of_name[0].name] = np.zeros(0, of_name[1].dtype)
     return Recording(
         path,
@@ -257,16 +281,34 @@ def _records_of(wire: WireFormat, messages: Messages) -> np.ndarray:
 
 def _wire_of(name: str, content: Content, file: Path) -> tuple[Topic, WireFormat] | None:
     """Return the contract topic that a recorded one is, and its codec; raises `UserError`."""
-    topic = _contract_topic(name, content.types[name])
+    type_name = content.types[name]
+    topic = _contract_topic(name, type_name)
     if topic is None:
         return None
     recorded_hash = content.hashes[name]
-    if recorded_hash and recorded_hash != type_hash(topic.type_name):
+    if recorded_hash and recorded_hash != type_hash(type_name):
+        if topic is PLANT_STATE:
+            return None
         raise UserError(
-            f'{file}: topic {name} was recorded with another definition of {topic.type_name}; '
+            f'{file}: topic {name} was recorded with another definition of {type_name}; '
             'read it with the waferbot version that made it'
         )
-    return topic, WireFormat(topic.type_name)
+    layout = SHIPPED if type_name == topic.type_name else _layout_of(content, file)
+    return topic, wire_of(topic, layout)
+
+
+def _layout_of(content: Content, file: Path) -> Layout:
+    """Return the axes of a machine that has its own, as the recording tells; raises `UserError`."""
+    attachments = content.attachments
+    if 'run.json' not in attachments:  # it may stand behind the messages
+        attachments = header_of(file).attachments
+    layout = Recording(file, {}, {}, {}, False, attachments).layout
+    if layout == SHIPPED:
+        raise UserError(
+            f'{file}: it is of a machine with axes of its own, and does not say which; record it with '
+            '`waferbot run` or the recorder, which keep them in run.json'
+        )
+    return layout
 
 
 def recording_of(path: Path, file: Path, content: Content) -> Recording:
@@ -275,7 +317,7 @@ def recording_of(path: Path, file: Path, content: Content) -> Recording:
     topics = {}
     for name, data in messages.items():
         found = _wire_of(name, content, file)
-        if found is None:
+        if found is None or found[0] is PLANT_STATE:
             continue
         topic, wire = found
         topics[topic.name] = merge_by_tick(wire.records(data), topic)
@@ -299,8 +341,8 @@ def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
     for name in records.dtype.names or ():
         if not records.dtype[name].shape and name not in ('valid', topic.mask):
             merged[name][row] = records[name]
-    places = len(topic.places)
     fields = [name for name in records.dtype.names or () if records.dtype[name].shape]
+    places = sum(records.dtype[name].shape[0] for name in fields) // topic.width
     for place in range(places):
         given = (records['valid'] >> place & 1).astype(bool)
         merged['valid'][row[given]] |= 1 << place
@@ -316,8 +358,9 @@ def merge_by_tick(records: np.ndarray, topic: Topic) -> np.ndarray:
 
 def _contract_topic(name: str, type_name: str) -> Topic | None:
     """Return the contract topic that a recorded topic is, in whatever namespace."""
-    for topic in CONTRACT_TOPICS:
-        if type_name == topic.type_name and name.rsplit('/', 1)[-1] == topic.name:
+    plain = type_name.replace('/msg/Axes', '/msg/')  # of a machine with axes of its own
+    for topic in (*CONTRACT_TOPICS, PLANT_STATE):
+        if plain == topic.type_name and name.rsplit('/', 1)[-1] == topic.name:
             return topic
     return None
 

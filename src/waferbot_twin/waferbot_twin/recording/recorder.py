@@ -24,7 +24,6 @@ from std_msgs.msg import String
 import waferbot_msgs.msg
 from waferbot_lockstep.contract import (
     AMPLIFIER_STATE,
-    AXES,
     CONTRACT_TOPICS,
     CURRENT_COMMAND,
     PLANT_STATE,
@@ -36,6 +35,7 @@ from waferbot_lockstep.contract import (
 )
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.exchange import Exchange
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.node import (
     INTERRUPTED,
     SIGN_OF_LIFE_PERIOD_S,
@@ -53,7 +53,7 @@ from waferbot_lockstep.standard_messages import (
 )
 from waferbot_lockstep.stops import Stops
 from waferbot_lockstep.timing import Timing
-from waferbot_lockstep.wire import WireFormat
+from waferbot_lockstep.wire import WireFormat, wire_of
 from waferbot_plant.frames import Frames
 from waferbot_twin.failures import Failures
 from waferbot_twin.recording.completeness import Account
@@ -88,6 +88,7 @@ class Recorder(Node):
         loads_needed: bool = True,
         exchange: Exchange | None = None,
         validity: Validity | None = None,
+        layout: Layout = SHIPPED,
     ) -> None:
         """
         Be ready to record; with no writer, only keep account.
@@ -97,19 +98,21 @@ class Recorder(Node):
         stranger's, which would make all that is still to come look old. `loads_needed`: `plant_state`
         as well, which an FMU in the place of the plant does not have. What nodes of this process give,
         or a channel, is taken from `exchange`. `validity` watches what the messages tell, if given.
+        `layout` names the axes and encoders of the machine.
         """
         super().__init__('recorder')
         self.exchange = exchange or Exchange()
-        self.account = Account(timing, needed)
+        self.layout = layout
+        self.account = Account(timing, needed, layout)
         self._clock_needed = clock_needed
         self._loads_needed = loads_needed
         self._validity = validity
-        self._plant_state = WireFormat(PLANT_STATE[1])
+        self._plant_state = wire_of(PLANT_STATE, layout)
         self.tick = -1
         self.stop_reason = ''
         self.interrupted = False
         self.failure = ''
-        self.failures = Failures(timing)
+        self.failures = Failures.of(timing, layout)
         self._stops = Stops(self)
         self._writer = writer
         self._timing = timing
@@ -121,7 +124,7 @@ class Recorder(Node):
             self._on_sign_of_life,
             clock=WallClock(clock_type=ClockType.STEADY_TIME),
         )
-        self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1, PLANT_STATE[0]: -1}
+        self._standard_stamps = {CLOCK[0]: -1, JOINT_STATES[0]: -1, PLANT_STATE.name: -1}
         self._described = False
         self._frames: Frames | None = None
         self._not_placed: list[bytes] = []  # joint states from before the description
@@ -129,11 +132,14 @@ class Recorder(Node):
     def begin(self) -> None:
         """Listen to everything; called once, when all nodes of this process are there."""
         for topic in CONTRACT_TOPICS:
-            self._record_contract(topic, WireFormat(topic.type_name))
+            self._record_contract(topic, wire_of(topic, self.layout))
         for (name, type_name), message_type in (
             (CLOCK, Clock),
             (JOINT_STATES, JointState),
-            (PLANT_STATE, waferbot_msgs.msg.PlantState),
+            (
+                (PLANT_STATE.name, PLANT_STATE.type_for(self.layout)),
+                message_class(PLANT_STATE, self.layout),
+            ),
         ):
             self._record(name, type_name, message_type, self._standard_callback(name))
         self._record(*ROBOT_DESCRIPTION, String, self._on_description, latched=True)
@@ -151,7 +157,7 @@ class Recorder(Node):
             and all(
                 stamp >= 0
                 for name, stamp in self._standard_stamps.items()
-                if self._loads_needed or name != PLANT_STATE[0]
+                if self._loads_needed or name != PLANT_STATE.name
             )
         )
         return self.account.begun() and standard_begun
@@ -175,7 +181,7 @@ class Recorder(Node):
 
     def _record_contract(self, topic: Topic, wire: WireFormat) -> None:
         """Record a topic of the contract."""
-        self._declare_topic(topic.name, topic.type_name)
+        self._declare_topic(topic.name, topic.type_for(self.layout))
         take = self._contract_callback(topic, wire)
 
         def on_message(data: bytes) -> None:
@@ -187,11 +193,15 @@ class Recorder(Node):
                 take(data, *fields)
 
         name = self.resolve_topic_name(topic.name)
-        if self.exchange.takes(name, topic.all_places):
+        if self.exchange.takes(name, topic.all_places(self.layout)):
             self.exchange.listen(name, take, wire.decode)
         else:
             self.create_subscription(
-                message_class(topic), topic.name, on_message, lockstep_qos(), raw=True
+                message_class(topic, self.layout),
+                topic.name,
+                on_message,
+                lockstep_qos(),
+                raw=True,
             )
 
     def _declare_topic(self, name: str, type_name: str, latched: bool = False) -> None:
@@ -232,6 +242,7 @@ class Recorder(Node):
     def _contract_callback(self, topic: Topic, wire: WireFormat) -> Callable[..., None]:
         name = self.resolve_topic_name(topic.name)
         is_new, writer = self.account.topics[topic].is_new, self._writer
+        axes = len(self.layout.axes)
 
         def take(
             data: bytes, tick: int, stamp_ns: int, valid: int, values: Sequence[float]
@@ -248,9 +259,9 @@ class Recorder(Node):
                     if tick % ANNOUNCE_TICKS == 0:
                         self._announce()
                 if topic is SERVO_STATE:
-                    self.failures.killed.note(tick, values[-len(AXES) :])
+                    self.failures.killed.note(tick, values[-axes:])
                 elif topic is AMPLIFIER_STATE:
-                    self.failures.note_faults(tick, valid, values[-len(AXES) :])
+                    self.failures.note_faults(tick, valid, values[-axes:])
                     self._note_amplifiers(tick, valid, values)
                 elif topic is CURRENT_COMMAND and self._validity is not None:
                     self._validity.note_command(tick, valid, values)
@@ -267,7 +278,7 @@ class Recorder(Node):
             stamp_ns = stamp_of(data)
             if stamp_ns > stamps[short_name]:
                 stamps[short_name] = stamp_ns
-                if short_name == PLANT_STATE[0]:
+                if short_name == PLANT_STATE.name:
                     data = self._note_plant_state(data)
                 if writer is not None:
                     writer.write(name, stamp_ns, data)
@@ -285,7 +296,7 @@ class Recorder(Node):
 
     def _note_amplifiers(self, tick: int, valid: int, values: Sequence[float]) -> None:
         if self._validity is not None:
-            axes = len(AXES)
+            axes = len(self.layout.axes)
             accumulator, setpoint = np.array([values[:axes]]), np.array([values[axes : 2 * axes]])
             self._validity.note_amplifiers(
                 np.array([tick]), np.array([valid]), accumulator, setpoint

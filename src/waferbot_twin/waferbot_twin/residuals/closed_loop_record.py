@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.encoders import find_positions
 from waferbot_twin.controllers.closed_loop import Begin, Counting, run
-from waferbot_twin.effects.places import counts_per_unit, described_axes
+from waferbot_twin.effects.places import counts_per_unit, described_axes, encoder_places
 from waferbot_twin.effects.variant import Variant, built
 from waferbot_twin.engines.inprocess import Signals, Twin
 from waferbot_twin.residuals.described_controller_block import DescribedControllerBlock
@@ -76,7 +75,7 @@ def _described(variant: Variant, record: Record) -> Record:
     published = built(variant, record.timing).parameters()[0]
     rows = np.arange(len(record.reading))
     seen = np.zeros_like(record.reading)
-    for place in range(len(ENCODERS)):
+    for place in range(seen.shape[1]):
         taken = np.maximum(rows - published['encoder_delay'][place], 0)
         seen[:, place] = done.seen[taken, place]
         seen[:, place] += _late_s(record)[:, place] * done.speed[taken, place]
@@ -86,7 +85,7 @@ def _described(variant: Variant, record: Record) -> Record:
     return Record(
         record.name,
         record.timing,
-        np.full((record.ticks, 2 * len(AXES)), np.nan),
+        np.full((record.ticks, 2 * len(record.layout.axes)), np.nan),
         _read_as(record, seen, published['coarseness']),
         record.commanded,
         command,
@@ -106,11 +105,12 @@ def _how_read(record: Record) -> dict[str, Any]:
         'counted': record.counted,
         'controlled': record.controlled,
         'observer_hz': record.observer_hz,
+        'layout': record.layout,
     }
 
 
 def _late_s(record: Record) -> Array:
-    """Return how much after the tick of its row each reading was taken (rows, 4), s."""
+    """Return how much after the tick of its row each reading was taken (rows, encoders), s."""
     return np.zeros_like(record.reading) if record.late_s is None else record.late_s
 
 
@@ -128,12 +128,13 @@ def _read_as(record: Record, seen: Array, coarseness: Array) -> Array:
 
 def _begin(variant: Variant, record: Record, per_unit: Array) -> Begin:
     """Return where the axes of an imported log begin, and what their controllers put out there."""
-    position, velocity = np.zeros(len(AXES)), np.zeros(len(AXES))
-    for place in range(len(AXES)):
-        if np.isfinite(record.reading[:, place]).any():
-            position[place], velocity[place] = record.first_motion(place, BEGIN_S, 2)
-    integral: Array = np.zeros(len(AXES))
-    current: Array = np.zeros(len(AXES))
+    axes = len(record.layout.axes)
+    position, velocity = np.zeros(axes), np.zeros(axes)
+    for place, encoder in enumerate(encoder_places(variant)):
+        if np.isfinite(record.reading[:, encoder]).any():
+            position[place], velocity[place] = record.first_motion(encoder, BEGIN_S, 2)
+    integral: Array = np.zeros(axes)
+    current: Array = np.zeros(axes)
     if record.has_controller and record.command is not None:
         integral = DescribedControllerBlock(record, variant).first_integral(variant)
         current = np.nan_to_num(record.command[0])
@@ -144,7 +145,7 @@ def run_commanded(
     variant: Variant, timing: Timing, commanded: NDArray[np.float64], ticks: int
 ) -> Signals:
     """
-    Run the closed loop of `variant` over commanded positions (cycles, 3) in counts of its encoders.
+    Run the closed loop of `variant` over commanded positions (cycles, axes) in counts of its encoders.
 
     It begins at rest where its encoders show the first of them. Raises `UserError` if the loop is
     unstable.
@@ -162,19 +163,20 @@ def run_commanded(
 
 def _axes_that_read(twin: Twin, counts: NDArray[np.float64]) -> dict[str, float]:
     """
-    Return the position of each axis, m or rad, at which its encoder shows these counts (3,).
+    Return the position of each axis, m or rad, at which its encoder shows these counts (axes,).
 
     In the middle of the count: counts are rounded down.
     """
     read = twin.servo_parameters[0]['Ixx03']
     parameters = twin.plant_parameters.copy()
     parameters['delay_fraction'] = 0.0  # it stands
-    others = [place for place in range(len(ENCODERS)) if place not in read]
+    encoders = len(twin.layout.encoders)
+    others = [place for place in range(encoders) if place not in read]
     parameters['counts_per_unit'][:, others] = (
         0.0  # go with those by which the axes are positioned
     )
     by_coordinate = np.zeros((1, len(twin.machine.coordinates)))
-    of_encoders = np.zeros(len(ENCODERS))
+    of_encoders = np.zeros(encoders)
     of_encoders[read] = counts + 0.5
     find_positions(twin.plant_state.copy(), parameters, of_encoders[None, :], by_coordinate)
     p = parameters[0]
@@ -185,7 +187,7 @@ def _axes_that_read(twin: Twin, counts: NDArray[np.float64]) -> dict[str, float]
             / per_unit
         )
         for axis, place, per_unit in zip(
-            AXES, read, twin.servo_parameters[0]['counts_per_unit'], strict=True
+            twin.layout.axes, read, twin.servo_parameters[0]['counts_per_unit'], strict=True
         )
         if axis in twin.machine.description.axes and p['counts_per_unit'][place] != 0.0
     }

@@ -24,7 +24,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_twin.residuals.noise_free_motion import STANDS_COUNTS_S
 from waferbot_twin.residuals.record import Array, Record
 
@@ -38,8 +37,8 @@ RATIO = 2.0**0.25
 def tells_command(record: Record) -> bool:
     """Return whether an imported log has the commands of every axis that it shows, throughout."""
     return record.current is not None and all(
-        record.path_commanded(AXIS_OF[name]) is not None
-        for place, name in enumerate(ENCODERS)
+        record.path_commanded(record.layout.axis_of(name)) is not None
+        for place, name in enumerate(record.layout.encoders)
         if np.isfinite(record.reading[:, place]).any()
     )
 
@@ -56,23 +55,23 @@ def as_commanded(record: Record) -> Record:
     reading, current = record.reading.copy(), record.current.copy()
     cycles = np.arange(len(reading)) * timing.encoder_divider // timing.servo_divider
     rows = np.minimum(np.arange(record.ticks) // timing.encoder_divider, len(reading) - 1)
-    for axis in AXES:
+    layout = record.layout
+    for place, axis in enumerate(layout.axes):
         path = record.path_commanded(axis)
         seen = [
-            place
-            for place, name in enumerate(ENCODERS)
-            if AXIS_OF[name] == axis and np.isfinite(reading[:, place]).any()
+            encoder
+            for encoder, name in enumerate(layout.encoders)
+            if layout.axis_of(name) == axis and np.isfinite(reading[:, encoder]).any()
         ]
         if path is None or not seen:
             continue
         means = _lagged_means(path[np.minimum(cycles, len(path) - 1)], timing.encoder_hz)
-        responses = [_response(reading[:, place], means) for place in seen]
-        for place, response in zip(seen, responses, strict=True):
-            known = np.isfinite(reading[:, place])
-            reading[known, place] = means[known] @ response
+        responses = [_response(reading[:, encoder], means) for encoder in seen]
+        for encoder, response in zip(seen, responses, strict=True):
+            known = np.isfinite(reading[:, encoder])
+            reading[known, encoder] = means[known] @ response
         speed = np.gradient(means @ responses[0]) * timing.encoder_hz
         columns = np.column_stack([means, np.tanh(speed / STANDS_COUNTS_S)])[rows]
-        place = AXES.index(axis)
         known = np.isfinite(current[:, place])
         current[known, place] = columns[known] @ _response(current[:, place], columns)
     return replace(record, reading=reading, current=current, path=None)

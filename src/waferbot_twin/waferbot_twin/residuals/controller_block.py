@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_pmac import compensation, servo
 from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.effects.places import described_axes
@@ -49,15 +48,18 @@ class ControllerBlock:
         self.record = record
         self._axes = [
             place
-            for place, axis in enumerate(AXES)
+            for place, axis in enumerate(record.layout.axes)
             if axis in record.controlled
             and variant.pmac.get(axis)
             and record.whole_counts
             and np.isfinite(record.command[:, place]).all()
         ]
-        self.channels = [AXES[place] for place in self._axes]
+        self.channels = [record.layout.axes[place] for place in self._axes]
         per_bit = (
-            servo_parameters(variant.pmac, variant.name)[0]['amplifier_peak_current'] / 32768.0
+            servo_parameters(variant.pmac, variant.name, variant.layout)[0][
+                'amplifier_peak_current'
+            ]
+            / 32768.0
         )
         self.noises = [
             Noise(float(FLOOR_BITS * per_bit[place]), self.order) for place in self._axes
@@ -77,7 +79,7 @@ class ControllerBlock:
         """Return measured less computed command of every controlled axis, A."""
         assert self.record.command is not None
         assert self.record.commanded is not None
-        parameters = servo_parameters(variant.pmac, variant.name)
+        parameters = servo_parameters(variant.pmac, variant.name, variant.layout)
         state = servo.initial_state(parameters)
         computed = np.zeros_like(self.record.command)
         # A log does not say which experiment it is of, so tables over time are left out.

@@ -18,7 +18,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.controllers import law
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
@@ -62,21 +61,22 @@ class DescribedControllerBlock:
         assert record.command is not None
         self.record = record
         per_unit = places.counts_per_unit(variant)
+        self._encoders = places.encoder_places(variant)
         self._hz = record.timing.servo_hz
         cycles = len(record.command)
         self._commanded = record.commanded / per_unit
-        self._position = np.full((cycles, len(AXES)), np.nan)
+        self._position = np.full((cycles, len(record.layout.axes)), np.nan)
         self._axes: list[int] = []
         self._judged: dict[int, NDArray[np.intp]] = {}
         for axis in places.described_axes(variant):
-            place = AXES.index(axis)
+            place = record.layout.place(axis)
             seen = self._seen(place, variant)
             self._position[:, place] = seen / per_unit[place]
             judged = self._cycles_to_judge(place, variant)
             if axis in record.controlled and len(judged) >= LEAST_CYCLES:
                 self._axes.append(place)
                 self._judged[place] = judged
-        self.channels = [AXES[place] for place in self._axes]
+        self.channels = [record.layout.axes[place] for place in self._axes]
         self._late = dict.fromkeys(self._axes, 0)
         for place in self._axes:
             self._late[place] = self._shown_late(place, variant)
@@ -87,15 +87,15 @@ class DescribedControllerBlock:
 
     def times_s(self, channel: str) -> Array:
         """Return the time of every sample of a channel's residual, s from the log's beginning."""
-        return np.asarray(self._judged[AXES.index(channel)] / self._hz)
+        return np.asarray(self._judged[self.record.layout.place(channel)] / self._hz)
 
     def residuals(self, variant: Variant) -> list[Array]:
         """Return measured less computed output of every controlled axis, A."""
         return [self._left(place, variant, self._late[place])[0] for place in self._axes]
 
     def first_integral(self, variant: Variant) -> Array:
-        """Return what integrators (3,) made of the outputs when the log began, A."""
-        found = np.zeros(len(AXES))
+        """Return what integrators (axes,) made of the outputs when the log began, A."""
+        found = np.zeros(len(self.record.layout.axes))
         for place in self._axes:
             _, found[place] = self._left(place, variant, self._late[place])
         return found
@@ -107,12 +107,12 @@ class DescribedControllerBlock:
         The log shows outputs so many cycles late.
         """
         assert self.record.command is not None
-        amperes = places.amperes_per_output(variant, AXES[place])
+        amperes = places.amperes_per_output(variant, self.record.layout.axes[place])
         judged = self._judged[place]
         measured = self.record.command[judged, place] / amperes
         integral = 0.0
         left = measured - self._computed(place, variant, integral)[judged - late]
-        if variant.description.controllers[AXES[place]].integrates:
+        if variant.description.controllers[self.record.layout.axes[place]].integrates:
             for _ in range(PASSES):
                 integral += float(np.mean(left))
                 left = measured - self._computed(place, variant, integral)[judged - late]
@@ -123,16 +123,20 @@ class DescribedControllerBlock:
         commanded, position = (
             _without_gaps(signal) for signal in (self._commanded, self._position)
         )
-        velocity, integrals = np.zeros(len(AXES)), np.zeros(len(AXES))
+        velocity, integrals = (
+            np.zeros(len(self.record.layout.axes)),
+            np.zeros(len(self.record.layout.axes)),
+        )
         integrals[place] = integral
         first = min(len(position), SETTLING_CYCLES)
         velocity[place] = (
             (position[first - 1, place] - position[0, place]) * self._hz / (first - 1)
         )
         computed = np.zeros_like(position)
+        laws = law.law_parameters(variant.description.controllers, self.record.layout.axes)
         law.replay(
-            law.initial_state(),
-            law.law_parameters(variant.description.controllers),
+            law.initial_state(laws),
+            laws,
             commanded,
             position,
             velocity,
@@ -144,7 +148,8 @@ class DescribedControllerBlock:
     def _seen(self, place: int, variant: Variant) -> Array:
         """Return the counts (cycles,) that the controller saw, NaN where the log does not tell."""
         record, timing = self.record, self.record.timing
-        reading = record.reading[:, place]
+        encoder = self._encoders[place]
+        reading = record.reading[:, encoder]
         rows = np.flatnonzero(np.isfinite(reading))
         cycles = np.arange(len(self._position))
         if len(rows) < LEAST_CYCLES:
@@ -153,8 +158,8 @@ class DescribedControllerBlock:
         row_s = timing.encoder_divider * timing.tick_s
         taken_s = (rows - variant.description.encoder_delay) * row_s
         if record.late_s is not None:
-            taken_s = taken_s + record.late_s[rows, place]
-        counts = reading[rows] - record.half_step[place]
+            taken_s = taken_s + record.late_s[rows, encoder]
+        counts = reading[rows] - record.half_step[encoder]
         at = taken_s * self._hz
         nearest = np.clip(np.searchsorted(at, cycles), 1, len(at) - 1)
         nearest -= cycles - at[nearest - 1] < at[nearest] - cycles
@@ -176,7 +181,7 @@ class DescribedControllerBlock:
         cycles = np.arange(len(known))
         since = cycles - begins[np.searchsorted(begins, cycles, side='right') - 1]
         controllers = variant.description.controllers
-        every = round(law.cycle_hz(controllers) / controllers[AXES[place]].rate)
+        every = round(law.cycle_hz(controllers) / controllers[self.record.layout.axes[place]].rate)
         first = round(self.record.judged_from_s * self._hz)
         use = known & (since > SETTLING_CYCLES) & (cycles >= first) & (cycles % every == 0)
         return np.flatnonzero(use)
@@ -184,7 +189,7 @@ class DescribedControllerBlock:
     def _shown_late(self, place: int, variant: Variant) -> int:
         """Return how many cycles later than it is computed an output stands in the log."""
         controllers = variant.description.controllers
-        delay = controllers[AXES[place]].delay * self._hz
+        delay = controllers[self.record.layout.axes[place]].delay * self._hz
         whole = int(np.ceil(delay - 1e-6))
         spread = [
             (float(np.std(self._left(place, variant, late)[0])), late)
@@ -194,12 +199,18 @@ class DescribedControllerBlock:
 
     def _floor(self, place: int, variant: Variant) -> float:
         """Return the smallest standard deviation of an axis' residual, A."""
-        controller = variant.description.controllers[AXES[place]]
-        step = self.record.resolution[place] / abs(places.counts_per_unit(variant)[place])
+        controller = variant.description.controllers[self.record.layout.axes[place]]
+        step = self.record.resolution[self._encoders[place]] / abs(
+            places.counts_per_unit(variant)[place]
+        )
         gain = controller.proportional + controller.velocity_gain * controller.position_gain
         rates = controller.derivative + controller.velocity_gain
         of_step = step * (gain + rates * controller.rate)
-        return FLOOR_STEPS * of_step * places.amperes_per_output(variant, AXES[place])
+        return (
+            FLOOR_STEPS
+            * of_step
+            * places.amperes_per_output(variant, self.record.layout.axes[place])
+        )
 
 
 def _without_gaps(signal: Array) -> Array:

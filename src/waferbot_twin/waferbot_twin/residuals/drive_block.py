@@ -35,8 +35,7 @@ import numpy as np
 from waferbot_copley import amplifier
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.compiled import compiled
-from waferbot_lockstep.contract import AXES
-from waferbot_plant import current_sensors, encoders, motors, windings
+from waferbot_plant import current_sensors, encoders, windings
 from waferbot_twin.effects.places import amplified_axes
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import open_terminals
@@ -88,6 +87,7 @@ class _Lines:
     def __init__(self, record: Record, places: list[int], ticks: int) -> None:
         """Choose among the axes at `places`."""
         self._ticks = ticks
+        self._axes = record.layout.axes
         assert record.terminals is not None
         current = record.terminals.current
         self.current = np.nan_to_num(current)
@@ -105,7 +105,9 @@ class _Lines:
     @property
     def channels(self) -> list[str]:
         """Names of the lines."""
-        return [f'{AXES[place // LINES]} line {place % LINES + 1}' for place in self._columns]
+        return [
+            f'{self._axes[place // LINES]} line {place % LINES + 1}' for place in self._columns
+        ]
 
     def times_s(self) -> Array:
         """Return the time of every mean, s from the log's beginning."""
@@ -113,7 +115,7 @@ class _Lines:
         return np.asarray((means[self._judged] + 0.5) * self._ticks * self._timing.tick_s)
 
     def means(self, left: Array) -> list[Array]:
-        """Return the means of what is left over (ticks, 6), where it is judged."""
+        """Return the means of what is left over (ticks, 2 axes), where it is judged."""
         count = len(left) // self._ticks
         means = left[: count * self._ticks].reshape(count, self._ticks, -1).mean(axis=1)
         return [means[self._judged, column] for column in self._columns]
@@ -150,8 +152,11 @@ class AmplifierBlock(_OfLines):
         record, terminals = self.record, self.record.terminals
         assert terminals is not None
         assert terminals.voltage is not None
-        settings = amplifier_parameters(variant.copley, record.timing, variant.name)
-        missing = np.zeros((record.ticks, 3 * len(AXES)))
+        settings = amplifier_parameters(
+            variant.copley, record.timing, variant.name, variant.layout
+        )
+        axes = len(record.layout.axes)
+        missing = np.zeros((record.ticks, 3 * axes))
         _follow_amplifier(
             amplifier.initial_state(settings),
             settings,
@@ -163,7 +168,7 @@ class AmplifierBlock(_OfLines):
             record.timing.tick_s / OBSERVER_S,
             missing,
         )
-        by_axis = missing.reshape(record.ticks, len(AXES), 3)
+        by_axis = missing.reshape(record.ticks, axes, 3)
         against_mean = (by_axis - by_axis.mean(axis=2, keepdims=True))[:, :, :LINES]
         return self._lines.means(against_mean.reshape(record.ticks, -1))
 
@@ -218,7 +223,9 @@ class CurrentLoopBlock(_OfLines):
     def residuals(self, variant: Variant) -> list[Array]:
         """Return the currents of lines 1 and 2, measured less computed, A."""
         measured = self._lines.current
-        settings = amplifier_parameters(variant.copley, self.record.timing, variant.name)
+        settings = amplifier_parameters(
+            variant.copley, self.record.timing, variant.name, variant.layout
+        )
         computed = np.zeros_like(measured)
         _run_current_loop(
             *_windings(self.record, variant, self._motion, measured[0]),
@@ -232,13 +239,14 @@ class CurrentLoopBlock(_OfLines):
 
 def driven_currents(record: Record, variant: Variant) -> Array:
     """
-    Return line currents (ticks, 6) for a log without any, A: what the model's drive makes of commands.
+    Return line currents (ticks, 2 axes) for a log without any, A: what the model's drive makes of
+    commands.
 
     Amplifiers and windings are those of the model, and move as the encoders say. Where amplifier,
     command or motion of an axis is not known, the record's own currents stay.
     """
     known = set(_commanded_places(record, variant)) & _motor_encoders(record, variant).keys()
-    settings = amplifier_parameters(variant.copley, record.timing, variant.name)
+    settings = amplifier_parameters(variant.copley, record.timing, variant.name, variant.layout)
     computed = np.zeros_like(record.line_current)
     _run_current_loop(
         *_windings(record, variant, MotorMotion(record), np.nan_to_num(record.line_current[0])),
@@ -257,12 +265,11 @@ def driven_currents(record: Record, variant: Variant) -> Array:
 def _commanded_places(record: Record, variant: Variant) -> list[int]:
     """Return the axes whose amplifier is known, with its command and its electrical angle."""
     assert record.command is not None
-    encoder = amplifier_parameters(variant.copley, record.timing, variant.name)[0][
-        'commutation_encoder'
-    ]
+    settings = amplifier_parameters(variant.copley, record.timing, variant.name, variant.layout)
+    encoder = settings[0]['commutation_encoder']
     return [
         place
-        for place, axis in enumerate(AXES)
+        for place, axis in enumerate(record.layout.axes)
         if axis in amplified_axes(variant)
         and np.isfinite(record.command[:, place]).all()
         and np.isfinite(record.reading[:, encoder[place]]).all()
@@ -272,7 +279,8 @@ def _commanded_places(record: Record, variant: Variant) -> list[int]:
 def _motor_encoders(record: Record, variant: Variant) -> dict[int, int]:
     """Return the axes whose motor has an encoder with its counts, and which encoder that is."""
     encoders = {
-        place: windings.motor_encoder(variant.description, axis) for place, axis in enumerate(AXES)
+        place: windings.motor_encoder(variant.description, axis)
+        for place, axis in enumerate(record.layout.axes)
     }
     return {
         place: encoder
@@ -329,19 +337,26 @@ def _follow_amplifier(
     missing,
 ):
     """
-    Drive the amplifiers by commands (n / command_ticks, 3), counts (n / count_ticks, 4) and line
-    currents (n, 6); fill `missing` (n, 9), logged less computed voltages, V.
+    Drive the amplifiers by commands (n / command_ticks, axes), counts (n / count_ticks, encoders)
+    and line currents (n, 2 axes); fill `missing` (n, 3 axes), logged less computed voltages, V.
 
     `off` (n,) has the bits of bridges that were off. The share of the missing voltage that goes into
     the integrators is `CATCHING_UP` for the first `settling` ticks, then `share`.
     """
     computed = np.zeros(voltage.shape[1])
+    all_axes = (1 << command.shape[1]) - 1
     for tick in range(line_current.shape[0]):
         now = counts[tick // count_ticks]
         for axis in range(line_current.shape[1] // LINES):
             state[0]['safe_torque_off'][axis] = off[tick] >> axis & 1
         amplifier.step(
-            state, parameters, 7, command[tick // command_ticks], line_current[tick], now, computed
+            state,
+            parameters,
+            all_axes,
+            command[tick // command_ticks],
+            line_current[tick],
+            now,
+            computed,
         )
         for terminal in range(voltage.shape[1]):
             missing[tick, terminal] = voltage[tick, terminal] - computed[terminal]
@@ -380,13 +395,15 @@ def _run_current_loop(
     computed,
 ):
     """Close the loop of amplifiers and windings; arguments as in the two functions above."""
-    voltage = np.zeros(3 * motors.MOTORS)
+    axes = command.shape[1]
+    all_axes = (1 << axes) - 1
+    voltage = np.zeros(3 * axes)
     for tick in range(computed.shape[0]):
         windings.show(state, parameters, computed[tick])
         amplifier.step(
             amplifier_state,
             settings,
-            7,
+            all_axes,
             command[tick // command_ticks],
             computed[tick],
             counts[tick // count_ticks],

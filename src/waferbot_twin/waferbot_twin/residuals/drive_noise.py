@@ -34,7 +34,6 @@ from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import istft, stft
 
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.residuals.drive_path import DrivePath
 from waferbot_twin.residuals.record import Record
 
@@ -68,7 +67,7 @@ def white_floors(records: Sequence[Record]) -> dict[str, float]:
     """Return what of the measured current of each axis may be white noise, A, in all of some logs."""
     floors: dict[str, float] = {}
     for record in records:
-        for place, axis in enumerate(AXES):
+        for place, axis in enumerate(record.layout.axes):
             if (current := measured_current(record, place)) is not None:
                 floor = white_floor(current, *_between(record, place, current))
                 floors[axis] = min(floor, floors.get(axis, math.inf))
@@ -81,7 +80,7 @@ def measured_current(record: Record, place: int) -> Array | None:
 
     None where an imported log has not measured one, or none that changes.
     """
-    if record.current is None or AXES[place] in record.told_alone:
+    if record.current is None or record.layout.axes[place] in record.told_alone:
         return None
     current = record.current[:, place]
     known = np.flatnonzero(np.isfinite(current))
@@ -100,7 +99,7 @@ def without_noise(record: Record, noise: Mapping[str, CurrentNoise]) -> Record:
         return record
     current, path = record.current.copy(), record.path
     for axis, one in noise.items():
-        place = AXES.index(axis)
+        place = record.layout.place(axis)
         if (own := measured_current(record, place)) is None:
             continue
         quiet = quieter(own, one, *_between(record, place, own))

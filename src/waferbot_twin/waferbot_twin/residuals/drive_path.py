@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.logs.measured import Signal
 
 Array = NDArray[np.float64]
@@ -39,12 +38,12 @@ STRAIGHT = 1e-3
 @dataclass(frozen=True)
 class DrivePath:
     """
-    Of each axis' drive at the edges of all ticks (n + 1, 3), zeros for one that is held.
+    Of each axis' drive at the edges of all ticks (n + 1, axes), zeros for one that is held.
 
     rise    h (i_k+1 - i_k) of the interval between samples in which an edge is, A s
     before  the sum of that over all intervals before, A s
     share   s, how far in its interval an edge is, 0 to 1
-    step_s  the usual time between samples (3,), s; 0 for one that is held
+    step_s  the usual time between samples (axes,), s; 0 for one that is held
     """
 
     rise: Array
@@ -64,7 +63,7 @@ class DrivePath:
         )
 
     def earlier_by(self, early_s: Array, tick_s: float) -> Array:
-        """Return what means over ticks (n, 3) change, A, for drives that are `early_s` (3,) earlier."""
+        """Return what means over ticks (n, axes) change, A, for drives `early_s` (axes,) earlier."""
         changes = np.zeros((len(self.rise) - 1, self.rise.shape[1]))
         for place, early in enumerate(early_s.tolist()):
             if early == 0.0 or self.step_s[place] == 0.0:
@@ -77,10 +76,10 @@ class DrivePath:
         return changes
 
 
-def no_path(edges: int) -> DrivePath:
-    """Return that of drives which are all held."""
-    nothing = np.zeros((edges, len(AXES)))
-    return DrivePath(nothing, nothing, nothing, np.zeros(len(AXES)))
+def no_path(edges: int, axes: int) -> DrivePath:
+    """Return that of the drives of so many axes, which are all held."""
+    nothing = np.zeros((edges, axes))
+    return DrivePath(nothing, nothing, nothing, np.zeros(axes))
 
 
 def with_signal(

@@ -30,7 +30,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.controllers.law import cycle_hz
@@ -39,7 +38,6 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.logs.alignment import SAME_CLOCK, Skew, clock_ratio, common_skew
 from waferbot_twin.logs.counting import AVERAGE, FLOOR, ROUND, counted, told_by_both
 from waferbot_twin.logs.kinds import DRIVES
-from waferbot_twin.logs.machine import MOTOR_ENCODER, POSITION_ENCODER
 from waferbot_twin.logs.measured import LINEAR, ZERO_ORDER, MeasuredLog, Signal
 from waferbot_twin.logs.pauses import Clock, with_short_pauses
 from waferbot_twin.residuals.drive_path import no_path, with_signal
@@ -188,23 +186,25 @@ def record_of_measured_log(
         )
     ticks = cycles * timing.servo_divider
     edges_s = begin_s + np.arange(ticks + 1) * timing.tick_s
-    current = np.full((ticks, len(AXES)), np.nan)
-    path = no_path(ticks + 1)
+    layout = variant.layout
+    current = np.full((ticks, len(layout.axes)), np.nan)
+    path = no_path(ticks + 1, len(layout.axes))
     for axis, drive in drives.items():
-        place, per_unit = AXES.index(axis), amperes_per_unit(variant, drive)
+        place, per_unit = layout.place(axis), amperes_per_unit(variant, drive)
         current[:, place] = drive.means(edges_s + shift_s[axis]) * per_unit
         path = with_signal(path, place, drive, edges_s + shift_s[axis], per_unit)
     rows = ticks // timing.encoder_divider
-    reading, after = (np.full((rows, len(ENCODERS)), np.nan) for _ in range(2))
-    resolution, half_step = [1.0] * len(ENCODERS), [0.0] * len(ENCODERS)
-    in_steps = [False] * len(ENCODERS)
+    encoders = len(layout.encoders)
+    reading, after = (np.full((rows, encoders), np.nan) for _ in range(2))
+    resolution, half_step = [1.0] * encoders, [0.0] * encoders
+    in_steps = [False] * encoders
     known = np.isfinite(current)[:: timing.encoder_divider]
     for axis in axes:
         for signal, place in _positions(log, variant, axis):
-            counts = _counts_per_unit(variant, axis, ENCODERS[place], signal.kind)
+            counts = _counts_per_unit(variant, axis, layout.encoders[place], signal.kind)
             half_step[place] = signal.half_step * counts
             row, late = _rows(signal.time_s - begin_s, timing, _delay_rows(variant, place), rows)
-            use = np.flatnonzero((row >= 0) & known[row, AXES.index(axis)])
+            use = np.flatnonzero((row >= 0) & known[row, layout.place(axis)])
             reading[row[use], place] = signal.value[use] * counts + half_step[place]
             after[row[use], place] = late[use]
             in_steps[place] = signal.resolution > 0.0 and signal.counting in (FLOOR, ROUND)
@@ -213,7 +213,7 @@ def record_of_measured_log(
                 step or UNKNOWN_RESOLUTION * float(np.ptp(signal.value))
             )
     cycle_s = begin_s + np.arange(cycles) / timing.servo_hz
-    paths = _at_cycles(commanded, cycle_s, places.counts_per_unit(variant), AXES, BRIDGED_S)
+    paths = _at_cycles(commanded, cycle_s, places.counts_per_unit(variant), layout.axes, BRIDGED_S)
     known_controllers = _with_known_controller(variant, paths)
     outputs = {
         axis: _output_signal(log, variant, axis)
@@ -221,15 +221,15 @@ def record_of_measured_log(
         if axis in known_controllers
     }
     amperes = np.array(
-        [amperes_per_unit(variant, outputs[a]) if a in outputs else 1.0 for a in AXES]
+        [amperes_per_unit(variant, outputs[a]) if a in outputs else 1.0 for a in layout.axes]
     )
     return Record(
         log.name,
         timing,
-        np.full((ticks, 2 * len(AXES)), np.nan),
+        np.full((ticks, 2 * len(layout.axes)), np.nan),
         reading,
         paths,
-        _at_cycles(outputs, cycle_s, amperes, AXES),
+        _at_cycles(outputs, cycle_s, amperes, layout.axes),
         whole_counts=False,
         current=current,
         path=path,
@@ -238,6 +238,8 @@ def record_of_measured_log(
         half_step=tuple(half_step),
         counted=tuple(in_steps),
         controlled=known_controllers,
+        skew_spread_s=(0.0,) * len(layout.axes),
+        layout=layout,
         force_driven=tuple(axis for axis, drive in drives.items() if drive.kind == 'force'),
         told_alone=tuple(axis for axis, drive in drives.items() if drive.kind != 'current'),
     )
@@ -278,7 +280,7 @@ def _with_known_controller(variant: Variant, paths: Array | None) -> tuple[str, 
     known = described or tuple(
         axis for axis in places.controlled_axes(variant) if variant.copley.get(axis)
     )
-    return tuple(axis for axis in known if np.isfinite(paths[:, AXES.index(axis)]).all())
+    return tuple(axis for axis in known if np.isfinite(paths[:, variant.layout.place(axis)]).all())
 
 
 def _first_cycle_s(commanded: Signal, servo_hz: float) -> float:
@@ -457,7 +459,7 @@ def _aligned(
 ) -> Record:
     """Return the record of a log whose alignments, by axis and kind of drive, are known."""
     late_s, notes, without = {}, [], []
-    spread_s = [0.0] * len(AXES)
+    spread_s = [0.0] * len(variant.layout.axes)
     for axis in axes:
         position, drive = log[axis, 'position'], drive_signal(log, variant, axis)
         assert drive is not None
@@ -485,7 +487,7 @@ def _aligned(
                     'between samples it would be half a sample less late (hold: linear in the mapping, '
                     'if it is so)'
                 )
-        spread_s[AXES.index(axis)] = _spread_s(drive, found if moved else None)
+        spread_s[variant.layout.place(axis)] = _spread_s(drive, found if moved else None)
         commanded = log.get(axis, 'commanded_position')
         ratio = clock_ratio(position, commanded) if commanded else None
         if ratio is not None and abs(ratio - 1.0) > SAME_CLOCK:
@@ -540,8 +542,9 @@ def _with_counting(
     for axis in axes:
         pair = []
         for signal, place in _positions(log, variant, axis):
-            up = _counts_per_unit(variant, axis, ENCODERS[place], signal.kind) > 0.0
-            own = variant.base.description.encoders[ENCODERS[place]].counting
+            name = variant.layout.encoders[place]
+            up = _counts_per_unit(variant, axis, name, signal.kind) > 0.0
+            own = variant.base.description.encoders[name].counting
             if not signal.counting and own:
                 signal = counted(signal, own, up, [])
             pair.append((signal, up))
@@ -582,7 +585,8 @@ def _of_commands(record: Record, variant: Variant, axes: Sequence[str]) -> list[
             )
         elif places.described_axes(variant):
             servo_hz = variant.description.controllers[axis].rate
-            own_s = float(np.median(np.diff(_times_s(record, AXES.index(axis)))))
+            encoder = places.encoder_places(variant)[record.layout.place(axis)]
+            own_s = float(np.median(np.diff(_times_s(record, encoder))))
             if own_s * servo_hz > SLOWER:
                 notes.append(
                     f'{record.name}: {axis} was logged every {1e3 * own_s:.3g} ms, its controller acts '
@@ -612,7 +616,7 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     """
     usual, fastest = {}, {}
     for axis in places.motor_axes(variant):
-        place = AXES.index(axis)
+        place = variant.layout.place(axis)
         fastest[axis] = max((_largest_speed(one, variant, axis) for one in records), default=0.0)
         parts = [record.current[:, place] for record in records if record.current is not None]
         known = np.concatenate([part[np.isfinite(part)] for part in parts]) if parts else ()
@@ -622,7 +626,7 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
     brought_in = {
         axis
         for record in records
-        for axis, spread in zip(AXES, record.skew_spread_s, strict=True)
+        for axis, spread in zip(record.layout.axes, record.skew_spread_s, strict=True)
         if spread > 0.0
     }
     by_force, told_alone = (
@@ -645,9 +649,9 @@ def sized_by(records: Sequence[Record], variant: Variant) -> Variant:
 def _largest_speed(record: Record, variant: Variant, axis: str) -> float:
     """Return the largest speed of an axis in an imported log, m/s or rad/s; 0 in others."""
     encoder = places.position_encoder(variant, axis)
-    if not record.is_imported or encoder not in ENCODERS:
+    if not record.is_imported or encoder not in record.layout.encoders:
         return 0.0
-    reading = record.reading[:, ENCODERS.index(encoder)]
+    reading = record.reading[:, record.layout.encoder_place(encoder)]
     rows = np.flatnonzero(np.isfinite(reading))
     if len(rows) < 2:
         return 0.0
@@ -666,17 +670,19 @@ def _positions(log: MeasuredLog, variant: Variant, axis: str) -> list[tuple[Sign
 
     Raises `UserError` if the model has no encoder for its position.
     """
-    encoder, second = POSITION_ENCODER[axis], MOTOR_ENCODER[axis]
+    layout = variant.layout
+    own = layout.encoders_of(axis)
+    encoder, second = own[0], own[-1]
     encoders = variant.description.encoders
     if encoder not in encoders:
         raise UserError(
             f'the model {variant.name} has no encoder {encoder}, which sees the position of {axis} '
             f'in {log.name}; add it to the description (its encoders: {", ".join(encoders) or "none"})'
         )
-    found = [(log[axis, 'position'], ENCODERS.index(encoder))]
+    found = [(log[axis, 'position'], layout.encoder_place(encoder))]
     on_motor = log.get(axis, 'motor_position')
     if on_motor is not None and second != encoder and second in encoders:
-        found.append((on_motor, ENCODERS.index(second)))
+        found.append((on_motor, layout.encoder_place(second)))
     return found
 
 
@@ -693,7 +699,7 @@ def _counts_per_unit(variant: Variant, axis: str, encoder: str, kind: str) -> fl
 def _delay_rows(variant: Variant, place: int) -> int:
     """Return by how many rows the model publishes the counts of an encoder late."""
     description = variant.description
-    own = description.encoders[ENCODERS[place]].errors.extra_delay
+    own = description.encoders[variant.layout.encoders[place]].errors.extra_delay
     return int(description.encoder_delay + own)
 
 

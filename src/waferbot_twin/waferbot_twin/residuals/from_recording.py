@@ -10,7 +10,6 @@ import numpy as np
 
 from waferbot_copley.settings import amplifier_parameters
 from waferbot_lockstep.contract import (
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     PHASE_CURRENTS,
@@ -24,7 +23,7 @@ from waferbot_twin.effects.variant import Variant
 from waferbot_twin.engines.inprocess import Signals
 from waferbot_twin.recording.reader import Recording, read_recording
 from waferbot_twin.residuals.drive_block import driven_currents
-from waferbot_twin.residuals.record import Array, Record, Terminals, mean_over_ticks
+from waferbot_twin.residuals.record import Array, Record, Terminals, mean_over_ticks, read_exactly
 
 
 def record_of_signals(name: str, signals: Signals) -> Record:
@@ -34,11 +33,12 @@ def record_of_signals(name: str, signals: Signals) -> Record:
         signals.timing,
         mean_over_ticks(signals.line_current),
         signals.counts.astype(float),
-        np.ascontiguousarray(signals.servo_state[:, : len(AXES)]),
+        np.ascontiguousarray(signals.servo_state[:, : len(signals.layout.axes)]),
         signals.current_command.copy(),
         terminals=Terminals(
             signals.line_current.copy(), signals.voltage.copy(), signals.open_bridges.copy()
         ),
+        **read_exactly(signals.layout),
     )
 
 
@@ -54,6 +54,7 @@ def record_of_recording(path: Path, variant: Variant) -> Record:
 
 def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
     """Return the record of a recording that was read from `path`; raises as above."""
+    recording.check_machine(variant.layout)
     timing = recording.timing
     encoders = _whole(recording, ENCODERS_TOPIC.name, timing.encoder_divider)
     ticks = len(encoders) * timing.encoder_divider
@@ -84,6 +85,7 @@ def record_of(recording: Recording, path: Path, variant: Variant) -> Record:
         None if commanded is None else np.ascontiguousarray(commanded[:cycles]),
         None if command is None else np.ascontiguousarray(command[:cycles]),
         terminals=None if terminals is None else terminals.part(slice(ticks)),
+        **read_exactly(variant.layout),
     )
     if terminals is not None or not variant.copley:
         return record
@@ -118,11 +120,12 @@ def _as_commanded(
     command: Array, encoders: np.ndarray, variant: Variant, timing: Timing, ticks: int
 ) -> Array:
     """Return the line currents of amplifiers that do at once what they are told."""
-    amplifier = amplifier_parameters(variant.copley, timing, variant.name)[0]
+    amplifier = amplifier_parameters(variant.copley, timing, variant.name, variant.layout)[0]
     every = np.arange(ticks)
     held = command[np.minimum(every // timing.servo_divider, len(command) - 1)]
-    lines = np.zeros((ticks, 2 * len(AXES)))
-    for axis in range(len(AXES)):
+    axes = len(variant.layout.axes)
+    lines = np.zeros((ticks, 2 * axes))
+    for axis in range(axes):
         theta = electrical_angle(every, axis, amplifier, (encoders['tick'], encoders['counts']))
         for line in range(2):
             lines[:, 2 * axis + line] = held[:, axis] * np.sin(theta - 2.0 * np.pi * line / 3.0)

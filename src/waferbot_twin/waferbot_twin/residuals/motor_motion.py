@@ -33,7 +33,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_plant import encoders
 from waferbot_plant.windings import motor_positions
 from waferbot_twin.residuals.record import Array, Record, common_step
@@ -74,13 +73,13 @@ class MotorMotion:
         """
         Return the positions (ticks + 1, 3) of the motors, m or rad, at every tick and behind the last.
 
-        As the encoders of `parameters` (`WINDING_PARAMETERS`) see them.
+        As the encoders of `parameters` (`windings`) see them.
         """
         p = parameters[0]
         read = self._at_readings(parameters)
         rows = np.arange(self._ticks + 1) / self._timing.encoder_divider
         position = np.zeros((self._ticks + 1, read.shape[1]))
-        for encoder in range(len(ENCODERS)):
+        for encoder in range(len(p['encoder_delay'])):
             if p['counts_per_unit'][encoder] == 0.0:
                 continue
             motor = p['encoder_coordinate'][encoder]
@@ -93,8 +92,8 @@ class MotorMotion:
         return position
 
     def _at_readings(self, parameters: np.ndarray) -> Array:
-        """Return the smoothed positions (readings, 3): the last of them are kept, fits ask for few."""
-        fields = (name for name, *_ in encoders.PARAMETER_FIELDS if name not in DELAYS)
+        """Return the smoothed positions (readings, axes): the last are kept, fits ask for few."""
+        fields = (name for name, *_ in encoders.parameter_fields(1) if name not in DELAYS)
         key = b''.join(parameters[0][name].tobytes() for name in fields)
         if key not in self._smoothed:
             while len(self._smoothed) >= KEPT:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.effects.places import axis_counts, motor_axes, motor_ratio, position_encoder
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.problem import Problem
@@ -74,9 +73,9 @@ def change(signal: Array, rate_hz: float) -> Array:
 def motion(nominal: Variant, ideal: Record, axis: str) -> Motion:
     """Return what an axis does in a log without noise (`Problem.ideal`)."""
     timing = ideal.timing
-    place, name = AXES.index(axis), position_encoder(nominal, axis)
+    place, name = ideal.layout.place(axis), position_encoder(nominal, axis)
     rate_hz = timing.encoder_hz
-    counts = _without_gaps(ideal.reading[:, ENCODERS.index(name)])
+    counts = _without_gaps(ideal.reading[:, ideal.layout.encoder_place(name)])
     position = _smooth(counts - counts[0], rate_hz)
     speed = change(position, rate_hz)
     gain = 0.0

@@ -29,7 +29,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.plant_block import OBSERVER_HZ, PlantBlock
@@ -59,7 +58,7 @@ def _with_observer(record: Record, nominal: Variant, variant: Variant) -> Record
         errors = [block.innovations(variant) for block in blocks]
     except UserError:
         return record
-    found = list(record.observer_hz or (OBSERVER_HZ,) * len(ENCODERS))
+    found = list(record.observer_hz or (OBSERVER_HZ,) * len(record.layout.encoders))
     for place, channel in enumerate(blocks[0].channels):
         if blocks[0].on_held[place]:  # no observer moves it
             continue
@@ -72,6 +71,6 @@ def _with_observer(record: Record, nominal: Variant, variant: Variant) -> Record
             for error, own in zip(errors, times, strict=True)
         ]
         best_hz = octaves_hz[int(np.argmin(squares))]
-        encoder = ENCODERS.index(channel)
+        encoder = record.layout.encoder_place(channel)
         found[encoder] = min(found[encoder], best_hz)
     return replace(record, observer_hz=tuple(found))

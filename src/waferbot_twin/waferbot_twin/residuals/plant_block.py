@@ -80,7 +80,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from waferbot_lockstep.compiled import compiled, compiled_without_lock
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_lockstep.errors import UserError
 from waferbot_plant import current_sensors, encoders, motors, multibody, plant, spring_laws
 from waferbot_plant.description import Description
@@ -140,15 +139,16 @@ class PlantBlock:
     def __init__(self, record: Record, variant: Variant, observer_hz: float | None = None) -> None:
         """Prepare what does not depend on the values of the model; that of the record by default."""
         self.record = record
+        layout = record.layout
         self._rigid = variant.rigid.placing
         timing = record.timing
         known = np.isfinite(record.reading)
         self._places = [
             place
-            for place, name in enumerate(ENCODERS)
+            for place, name in enumerate(layout.encoders)
             if name in variant.description.encoders and known[:, place].sum() >= LEAST_READINGS
         ]
-        self.channels = [ENCODERS[place] for place in self._places]
+        self.channels = [layout.encoders[place] for place in self._places]
         self.on_held = [
             self._rigid.get(variant.description.encoders[name].coordinate, (-1, 1.0))[0]
             in variant.rigid.locked
@@ -159,11 +159,11 @@ class PlantBlock:
         self._samples: list[NDArray[np.intp]] = []
         self.rates_hz: list[float] = []
         self._common_steps: list[int] = []
-        wanted_hz = record.observer_hz or (OBSERVER_HZ,) * len(ENCODERS)
+        wanted_hz = record.observer_hz or (OBSERVER_HZ,) * len(layout.encoders)
         if observer_hz is not None:
-            wanted_hz = (observer_hz,) * len(ENCODERS)
-        self._observer_hz = np.zeros(len(ENCODERS))
-        self._usual_rows = np.zeros(len(ENCODERS), np.int64)
+            wanted_hz = (observer_hz,) * len(layout.encoders)
+        self._observer_hz = np.zeros(len(layout.encoders))
+        self._usual_rows = np.zeros(len(layout.encoders), np.int64)
         self._ends = np.zeros(record.reading.shape, np.bool_)
         floors = []
         for place in self._places:
@@ -196,8 +196,8 @@ class PlantBlock:
                     rate_hz,
                     float(self._observer_hz[place]),
                     OBSERVER_DAMPING,
-                    motion_basis(self.measured(ENCODERS[place])),
-                    moves=moves(self.measured(ENCODERS[place])),
+                    motion_basis(self.measured(layout.encoders[place])),
+                    moves=moves(self.measured(layout.encoders[place])),
                 ),
                 freedom=freedom_of(record.duration_s),
             )
@@ -208,13 +208,13 @@ class PlantBlock:
 
     def _step(self, variant: Variant, place: int) -> float:
         """Return the step of an encoder in the motion that its axis makes if nothing gives."""
-        encoder = variant.description.encoders[ENCODERS[place]]
+        encoder = variant.description.encoders[self.record.layout.encoders[place]]
         _, ratio = self._rigid.get(encoder.coordinate, ('', 1.0))
         return self.record.resolution[place] / abs(encoder.counts_per_unit * ratio)
 
     def _beside(self) -> list[int]:
         """Return how many places further on the other encoder of each one's axis is; 0 without one."""
-        axes = [AXIS_OF[name] for name in self.channels]
+        axes = [self.record.layout.axis_of(name) for name in self.channels]
         found = [0] * len(axes)
         for first, second in itertools.combinations(range(len(axes)), 2):
             same_times = np.array_equal(self._samples[first], self._samples[second])
@@ -263,7 +263,9 @@ class PlantBlock:
     def measured(self, channel: str) -> Array:
         """Return the reading at every sample of a channel's residual, counts."""
         rows = self._samples[self.channels.index(channel)]
-        return np.asarray(self.record.reading[rows, ENCODERS.index(channel)].mean(axis=1))
+        return np.asarray(
+            self.record.reading[rows, self.record.layout.encoder_place(channel)].mean(axis=1)
+        )
 
     def residuals(self, variant: Variant) -> list[Array]:
         """
@@ -320,10 +322,12 @@ class PlantBlock:
             *gains,
             self._usual_rows,
             record.reading,
-            np.zeros((0, len(ENCODERS))) if record.late_s is None else record.late_s,
+            np.zeros((0, len(self.record.layout.encoders)))
+            if record.late_s is None
+            else record.late_s,
             self._ends,
             standing,
-            np.zeros(9),
+            np.zeros(3 * len(record.layout.axes)),
             innovation,
         )
         if blown_up >= 0:
@@ -355,17 +359,17 @@ class PlantBlock:
 
     def _acting_current(self, variant: Variant, readings_later: float) -> Array:
         """
-        Return the current (n, 3) that makes force, A; (0, 3) where line currents are known.
+        Return the current (n, axes) that makes force, A; (0, axes) where line currents are known.
 
         That of a skewed axis is what stands in the log so much later, less the ticks that the readings
         are later themselves. What a drive did between its samples is a path there where it goes
         straight (`drive_path`), and a time elsewhere.
         """
         if self.record.current is None:
-            return np.zeros((0, motors.MOTORS))
+            return np.zeros((0, len(self.record.layout.axes)))
         current, path, tick_s = self.record.current, self.record.path, self.record.timing.tick_s
         late_s, early_s = (
-            np.array([times.get(axis, 0.0) for axis in AXES])
+            np.array([times.get(axis, 0.0) for axis in self.record.layout.axes])
             for times in (variant.skew_s, variant.between_s)
         )
         if early_s.any() and path is not None:
@@ -408,8 +412,8 @@ class PlantBlock:
         if a spring joins the two, and nothing if they are one. With it, for each encoder, the spring
         that it is behind and the encoder at the other end, (encoders, 2), or -1.
         """
-        behind = np.full((len(ENCODERS), 2), -1)
-        together = np.zeros((len(ENCODERS), len(machine.coordinates)))
+        behind = np.full((len(self.record.layout.encoders), 2), -1)
+        together = np.zeros((len(self.record.layout.encoders), len(machine.coordinates)))
         held = {name for name, on in zip(self.channels, self.on_held, strict=True) if on}
         moves: list[tuple[int | str, float]] = [
             self._rigid.get(name, (name, 1.0)) for name in machine.coordinates
@@ -418,7 +422,7 @@ class PlantBlock:
         for encoder in self._finest_first:
             coordinate = int(p['encoder_coordinate'][encoder])
             what, own = moves[coordinate]
-            if ENCODERS[encoder] in held:
+            if self.record.layout.encoders[encoder] in held:
                 continue
             if what in first:
                 before, its_coordinate = first[what]
@@ -460,7 +464,7 @@ def _standing(
 ) -> NDArray[np.bool_]:
     """Return which coordinates (n,) are those of an axis of which none is `measured` (n,)."""
     standing = np.zeros(len(measured), np.bool_)
-    for place, axis in enumerate(AXES):
+    for place, axis in enumerate(description.layout.axes):
         own = [
             int(p[f'{what}_coordinate'][place])
             for what, having in (
@@ -566,19 +570,19 @@ def _drive(
     innovation,
 ):
     """
-    Drive the plant by measured currents; fill `innovation` (n / divider, 4), counts.
+    Drive the plant by measured currents; fill `innovation` (n / divider, encoders), counts.
 
-    `line_current` (n, 6) A; `current` (n, 3) A, the part that makes force, for motors without line
-    currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN where
-    missing; `half_count` is added to them, because counts are rounded down (of a coarse encoder half of
-    its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends`
-    (n / divider, 4) where a sample ends. `observer` (4,) rad/s; `finest_first` are the encoders
+    `line_current` (n, 2 axes) A; `current` (n, axes) A, the part that makes force, for motors without
+    line currents (0, 3 if there is none). `reading` likewise as `innovation`: published counts, NaN
+    where missing; `half_count` is added to them, because counts are rounded down (of a coarse encoder
+    half of its step); `late_s` says how much after its tick each was taken (0, 4 if never); `ends` (n /
+    divider, encoders) where a sample ends. `observer` (encoders,) rad/s; `finest_first` are the encoders
     that are looked at, one before those that are behind it; `together` (encoders, z) says how far one
-    moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at
-    the other end. `gain_position` and `gain_velocity` (encoders, z) are those of a plant that gives
+    moves each coordinate; `behind` (encoders, 2) the spring that it is behind and the encoder at the
+    other end. `gain_position` and `gain_velocity` (encoders, z) are those of a plant that gives
     (`flexible_observer`; 0, z if there are none) for readings `usual_rows` (encoders,) apart.
-    Coordinates of `standing` (z,) do not move. Returns the coordinate for which the simulation blew
-    up, or -1.
+    Coordinates of `standing` (z,) do not move. Returns the coordinate for which the simulation blew up,
+    or -1.
     """
     s = state[0]
     p = parameters[0]
@@ -610,7 +614,7 @@ def _drive(
             now = encoders.seen_counts(s, p, encoder)
             for row in range(LONGEST_DELAY):
                 seen[row, encoder] = now
-    for motor in range(motors.MOTORS):
+    for motor in range(len(p['winding'])):
         s['terminals_open'][motor] = 1
     start = s['position'].copy()
     for tick in range(line_current.shape[0]):
@@ -707,7 +711,7 @@ def _drive(
                     s['position_before'][other] += (moved + delay_s * rate) / scale
         for row in range(len(s['external_force'])):
             s['external_force'][row] = 0.0
-        for motor in range(motors.MOTORS):
+        for motor in range(len(p['winding'])):
             if p['winding'][motor] == motors.NONE:
                 continue
             coordinate = p['motor_coordinate'][motor]

@@ -12,7 +12,7 @@ from typing import Protocol, cast
 import numpy as np
 from joblib import Parallel, delayed
 
-from waferbot_lockstep.contract import AXES
+from waferbot_lockstep.layout import Layout
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Itself, Variant
 from waferbot_twin.noise_model.misfit import InLog, StateFunctions
@@ -68,7 +68,7 @@ class Channel:
     @property
     def axis(self) -> str:
         """The axis that it tells of."""
-        return next(axis for axis in AXES if self.name.startswith(axis))
+        return Layout.axis_of(self.name.partition(' ')[0])
 
 
 FINER = 4

@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
+from waferbot_lockstep.layout import SHIPPED, Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_twin.residuals.drive_path import DrivePath
 
@@ -27,9 +28,9 @@ class Terminals:
     """
     What was measured at the amplifiers' terminals, at every tick.
 
-    current  (ticks, 6) A, lines 1 and 2 of each motor as the current sensors showed them at the tick
-    voltage  (ticks, 9) V, terminals 1, 2, 3 of each motor over the tick, or None
-    off      (ticks,) bit i set: the bridge of axis i is off, its terminals are open
+    current  (ticks, 2 axes) A, lines 1 and 2 of each motor as the current sensors showed them at the
+    tick voltage  (ticks, 3 axes) V, terminals 1, 2, 3 of each motor over the tick, or None off
+    (ticks,) bit i set: the bridge of axis i is off, its terminals are open
     """
 
     current: Array
@@ -47,18 +48,21 @@ class Record:
     """
     One log.
 
-    line_current  (ticks, 6) A, lines 1 and 2 of each motor as measured, mean over each tick; NaN for a
-                  motor of which nothing is known
-    reading       (rows, 4) counts of each encoder as published at encoder ticks, NaN where missing
-    commanded     (cycles, 3) counts, commanded position at servo ticks, NaN for an axis of which it is
+    line_current  (ticks, 2 axes) A, lines 1 and 2 of each motor as measured, mean over each tick; NaN
+                  for a motor of which nothing is known
+    reading       (rows, encoders) counts as published at encoder ticks, NaN where missing
+    commanded     (cycles, axes) counts, commanded position at servo ticks, NaN for an axis of which it
+    is
                   not known; or None
-    command       (cycles, 3) A, current command at servo ticks, likewise
+    command       (cycles, axes) A, current command at servo ticks, likewise
     terminals     what was measured at the amplifiers' terminals, or None
 
-    current       (ticks, 3) A, the part of each motor's current that makes force, mean over each tick;
-                  it drives motors whose line currents are not known; NaN or None where that is neither
+    current       (ticks, axes) A, the part of each motor's current that makes force, mean over each
+                  tick; it drives motors whose line currents are not known; NaN or None where that is
+                  neither
     path          what is open of that between the samples of an imported log, or None
-    late_s        (rows, 4) s, how much after the tick of its row a reading was taken; None: not at all
+    late_s        (rows, encoders) s, how much after the tick of its row a reading was taken; None: not
+                  at all
     resolution    smallest step of each encoder's readings, counts
     half_step     counts that were added to what each encoder published, so that readings are right on
                   average: half a step of those that an imported log has rounded down
@@ -73,6 +77,7 @@ class Record:
                   the log (`observer_bandwidth`); None where not
     notes         what a reader of the results should know of the log
     log           name of the log that it is a part of; empty of a whole one
+    layout        the axes and encoders of the machine, in the order of the columns
 
     `whole_counts` tells whether readings are the whole counts that the controller saw. A log need not
     have a reading in every row: `late_s` and gaps of NaN keep the times at which it was really measured.
@@ -96,16 +101,17 @@ class Record:
     current: Array | None = None
     path: DrivePath | None = None
     late_s: Array | None = None
-    resolution: tuple[float, ...] = (1.0,) * len(ENCODERS)
-    half_step: tuple[float, ...] = (0.0,) * len(ENCODERS)
-    counted: tuple[bool, ...] = (True,) * len(ENCODERS)
-    controlled: tuple[str, ...] = AXES
+    resolution: tuple[float, ...] = (1.0,) * len(SHIPPED.encoders)
+    half_step: tuple[float, ...] = (0.0,) * len(SHIPPED.encoders)
+    counted: tuple[bool, ...] = (True,) * len(SHIPPED.encoders)
+    controlled: tuple[str, ...] = SHIPPED.axes
     force_driven: tuple[str, ...] = ()
     told_alone: tuple[str, ...] = ()
-    skew_spread_s: tuple[float, ...] = (0.0,) * len(AXES)
+    skew_spread_s: tuple[float, ...] = (0.0,) * len(SHIPPED.axes)
     observer_hz: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     log: str = ''
+    layout: Layout = SHIPPED
 
     @property
     def is_imported(self) -> bool:
@@ -121,7 +127,7 @@ class Record:
         """Return what an axis was commanded at servo ticks (cycles,), counts; None if unknown."""
         if self.commanded is None:
             return None
-        path = self.commanded[:, AXES.index(axis)]
+        path = self.commanded[:, self.layout.place(axis)]
         return path if np.isfinite(path).all() else None
 
     @property
@@ -135,8 +141,8 @@ class Record:
         if self.commanded is None:
             return False
         axes = {
-            AXIS_OF[name]
-            for place, name in enumerate(ENCODERS)
+            self.layout.axis_of(name)
+            for place, name in enumerate(self.layout.encoders)
             if np.isfinite(self.reading[:, place]).any()
         }
         return axes <= set(self.controlled)
@@ -214,6 +220,23 @@ class Record:
             path=None if self.path is None else self.path.part(ticks),
             late_s=None if self.late_s is None else self.late_s[rows],
         )
+
+
+def read_exactly(layout: Layout) -> dict[str, Any]:
+    """
+    Return what a `Record` of the twin's own signals says of how it was read, for a machine's places.
+
+    In whole counts, with every axis' controller known, and one clock for all.
+    """
+    encoders = len(layout.encoders)
+    return {
+        'resolution': (1.0,) * encoders,
+        'half_step': (0.0,) * encoders,
+        'counted': (True,) * encoders,
+        'controlled': layout.axes,
+        'skew_spread_s': (0.0,) * len(layout.axes),
+        'layout': layout,
+    }
 
 
 def _means(values: Array, times: int) -> Array:

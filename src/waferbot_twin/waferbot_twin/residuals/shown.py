@@ -9,7 +9,6 @@ output. Of a recording of the twin everything stays as it is.
 
 from __future__ import annotations
 
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.effects.variant import Variant
@@ -36,8 +35,8 @@ def shown_value(record: Record, variant: Variant, axis: str, item: Parameter) ->
     """Return what the value of an effect's parameter is multiplied by when it is told, and its unit."""
     if not record.is_imported:
         return 1.0, item.unit
-    own = [name for name in ENCODERS if AXIS_OF[name] == axis]
+    own = variant.base.layout.encoders_of(axis)
     if item.unit == 'counts' and own and own[0] in variant.base.description.encoders:
-        per_unit = places.counts_per_unit(variant)[AXES.index(axis)]
+        per_unit = places.counts_per_unit(variant)[variant.base.layout.place(axis)]
         return 1.0 / abs(float(per_unit)), places.length_unit(variant, axis)
     return 1.0, item.unit

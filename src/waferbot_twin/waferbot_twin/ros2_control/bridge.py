@@ -28,14 +28,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from waferbot_lockstep.contract import (
-    ALL_AXES,
-    ALL_ENCODERS,
-    AXES,
     CURRENT_COMMAND,
     ENCODERS_TOPIC,
     Topic,
 )
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.node import LockstepNode, Trouble, run_node
 from waferbot_lockstep.node_settings import REALTIME
 from waferbot_lockstep.parameters import Parameter
@@ -62,20 +60,14 @@ class JointBridge(LockstepNode):
 
     def __init__(self, **node_options: Any) -> None:
         """Open both sides; raises `UserError` if time is not real time, or an axis lacks something."""
-        super().__init__(
-            'joint_bridge', {ENCODERS_TOPIC: ALL_ENCODERS}, (CURRENT_COMMAND,), **node_options
-        )
+        super().__init__('joint_bridge', (ENCODERS_TOPIC,), (CURRENT_COMMAND,), **node_options)
         if self.timekeeping != REALTIME:
             raise UserError(
                 'controllers of ros2_control keep wall time: start plant, amplifiers and this node '
                 'with timekeeping:=realtime'
             )
-        description = self.declare_fixed(
-            'description', 'rigid', 'name, file or text of the machine, for counts and efforts'
-        )
         settings = self.declare_settings('', SETTINGS)
-        machine = load_machine(description, timing=self.timing)
-        self._scales = JointScales.of(machine.description)
+        self._scales = JointScales.of(self._machine)
         self._cycle = -1  # the newest that was answered
         self._counts: np.ndarray | None = None
         self._tick = 0
@@ -89,6 +81,14 @@ class JointBridge(LockstepNode):
         self._pause = self.create_client(SetBool, 'plant/pause')
         wall = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0 / float(settings['state_rate_hz']), self._tell, clock=wall)
+
+    def find_layout(self) -> Layout:
+        """Load the machine, which has the axes and encoders; raises `UserError`."""
+        description = self.declare_fixed(
+            'description', 'rigid', 'name, file or text of the machine, for counts and efforts'
+        )
+        self._machine = load_machine(description, timing=self.timing).description
+        return self._machine.layout
 
     @property
     def tick(self) -> int:
@@ -106,7 +106,7 @@ class JointBridge(LockstepNode):
             self._cycle = cycle
             efforts = {} if self._silence_s() else self._efforts
             tick = cycle * self.timing.servo_divider
-            self.give(CURRENT_COMMAND, tick, ALL_AXES, self._scales.currents(efforts))
+            self.give(CURRENT_COMMAND, tick, self.layout.all_axes, self._scales.currents(efforts))
         if self.end_tick and self._tick + inbox.spacing >= self.end_tick:
             self.finish()
 
@@ -147,7 +147,7 @@ class JointBridge(LockstepNode):
         if self._counts is None or self.outcome is not None:
             return
         positions = self._scales.positions(np.asarray(self._counts))
-        velocity = np.zeros(len(AXES))
+        velocity = np.zeros_like(positions)
         if self._said is not None and self._tick > self._said[0]:
             passed_s = (self._tick - self._said[0]) * self.timing.tick_s
             velocity = (positions - self._said[1]) / passed_s
@@ -157,7 +157,10 @@ class JointBridge(LockstepNode):
             self._said = self._tick, positions
         self._states.publish(
             joint_state_message(
-                self.get_clock().now().nanoseconds, AXES, positions.tolist(), velocity.tolist()
+                self.get_clock().now().nanoseconds,
+                self.layout.axes,
+                positions.tolist(),
+                velocity.tolist(),
             )
         )
 

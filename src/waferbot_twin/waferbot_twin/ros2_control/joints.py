@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.description import Description
 from waferbot_plant.inverse_dynamics import InverseDynamics
@@ -33,8 +33,9 @@ PLUGIN = 'joint_state_topic_hardware_interface/JointStateTopicSystem'
 
 @dataclass(frozen=True)
 class JointScales:
-    """Of each axis (3,): place and counts per m or rad of its position encoder, effort per ampere."""
+    """Of each axis (axes,): place and counts per m or rad of its position encoder, effort per ampere."""
 
+    axes: tuple[str, ...]
     encoders: NDArray[np.intp]
     counts_per_unit: Floats
     effort_per_ampere: Floats
@@ -45,26 +46,26 @@ class JointScales:
         dynamics = InverseDynamics(description)
         placing = dynamics.machine.assembly.placing
         places, counts, efforts = [], [], []
-        for axis in AXES:
+        for axis in description.layout.axes:
             name = description.position_encoder(axis)
             if axis not in dynamics.axes or name not in description.encoders:
                 raise UserError(f'{description.name}: {axis} needs a motor and an encoder')
             encoder = description.encoders[name]
-            places.append(ENCODERS.index(name))
+            places.append(description.layout.encoder_place(name))
             ratio = placing[encoder.coordinate][1] / placing[description.axes[axis]][1]
             counts.append(encoder.counts_per_unit * ratio)
             constant = force_constant(description.motors[axis])
             efforts.append(constant * force_ratio(dynamics, axis))
-        return cls(np.array(places), np.array(counts), np.array(efforts))
+        return cls(description.layout.axes, np.array(places), np.array(counts), np.array(efforts))
 
     def positions(self, counts: NDArray[np.int64] | Floats) -> Floats:
-        """Return the positions of the axes from the counts of all encoders (4,)."""
+        """Return the positions of the axes from the counts of all encoders (encoders,)."""
         found: Floats = counts[self.encoders] / self.counts_per_unit
         return found
 
     def currents(self, efforts: Mapping[str, float]) -> list[float]:
         """Return the currents of the axes, A; 0 where no effort, or none that is finite, is given."""
-        given = np.array([efforts.get(axis, 0.0) for axis in AXES])
+        given = np.array([efforts.get(axis, 0.0) for axis in self.axes])
         currents = np.where(np.isfinite(given), given, 0.0) / self.effort_per_ampere
         return [float(current) for current in currents]
 

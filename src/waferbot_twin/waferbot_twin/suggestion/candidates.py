@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from waferbot_lockstep.contract import AXES, USUAL_UNITS, usual_axis
+from waferbot_lockstep.contract import USUAL_UNITS, usual_axis
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import (
     Experiment,
@@ -139,7 +139,7 @@ def strokes(variant: Variant, timing: Timing) -> dict[str, float]:
     """
     units = variant.description.axis_units
     own = _longest_ways(variant, timing)
-    foreign = [axis for axis in AXES if units[axis] != USUAL_UNITS[axis]]
+    foreign = [axis for axis in units if units[axis] != USUAL_UNITS.get(axis)]
     if foreign:
         shipped = _longest_ways(Variant.of(load_model(SHIPPED)), timing)
         own |= {axis: shipped[usual_axis(axis, units[axis])] for axis in foreign}
@@ -148,14 +148,14 @@ def strokes(variant: Variant, timing: Timing) -> dict[str, float]:
 
 def _longest_ways(variant: Variant, timing: Timing) -> dict[str, float]:
     """Return the longest way that those experiments take each axis that suit the machine."""
-    parameters = servo_parameters(variant.pmac, variant.name)
+    parameters = servo_parameters(variant.pmac, variant.name, variant.layout)
     per_unit = parameters[0]['counts_per_unit']
     units = variant.description.axis_units
-    longest = np.zeros(len(AXES))
+    longest = np.zeros(len(units))
     for one in library(variant):
         path = commanded_positions(one.experiment, parameters, timing.servo_hz, units)
         longest = np.maximum(longest, np.ptp(path, axis=0) / per_unit)
-    return {axis: float(longest[place]) for place, axis in enumerate(AXES)}
+    return {axis: float(longest[place]) for place, axis in enumerate(units)}
 
 
 def designed(variant: Variant, axes: Sequence[str], timing: Timing) -> list[Candidate]:

@@ -19,7 +19,6 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import Experiment, commanded_positions
 from waferbot_pmac.experiments.evaluation import MILLISECONDS
@@ -285,21 +284,20 @@ def load(variant: Variant, signals: Signals) -> Load:
     """Return how much of the limits of the axes a run takes; the axis is that with the largest share."""
     record = record_of_signals('run', signals)
     shares = []
-    for place, axis in enumerate(AXES):
-        if axis not in places.controlled_axes(variant):
-            continue
-        speed, current = _largest(variant, record, place)
+    for axis in places.controlled_axes(variant):
+        speed, current = _largest(variant, record, axis)
         shares.append(Load(speed, current, axis))
     return max(shares, key=lambda item: max(item.speed, item.current))
 
 
-def _largest(variant: Variant, record: Record, place: int) -> tuple[float, float]:
-    axis = AXES[place]
+def _largest(variant: Variant, record: Record, axis: str) -> tuple[float, float]:
+    place = record.layout.place(axis)
+    encoder = places.encoder_places(variant)[place]
     assert record.commanded is not None
     assert record.command is not None
     # A servo cycle's jump is no speed that a limit is meant for: means over 10 ms.
     window = round(0.01 * record.timing.servo_hz)
-    path = record.reading[:: record.timing.servo_divider // record.timing.encoder_divider, place]
+    path = record.reading[:: record.timing.servo_divider // record.timing.encoder_divider, encoder]
     moved = np.abs(path[window:] - path[:-window]) if len(path) > window else np.zeros(1)
     limit = variant.i_variable(axis, 'Ixx16') * MILLISECONDS
     speed = float(moved.max()) * record.timing.servo_hz / window / limit

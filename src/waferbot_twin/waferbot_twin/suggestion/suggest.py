@@ -19,7 +19,6 @@ from itertools import permutations
 import numpy as np
 from joblib import Parallel, delayed
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_twin.residuals.problem import Cause, apply_all
 from waferbot_twin.residuals.record import Array
@@ -125,7 +124,9 @@ def suggest(
     """
     if len({cause.name for cause in causes}) < max(2, len(causes)):
         raise UserError('two different causes at least are needed to tell them apart, none twice')
-    axes = [axis for axis in AXES if any(cause.axis == axis for cause in causes)]
+    axes = [
+        axis for axis in machine.variant.layout.axes if any(cause.axis == axis for cause in causes)
+    ]
     candidates = [
         *library(machine.variant),
         *designed(machine.variant, axes, machine.timing),

@@ -29,7 +29,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.description import Heating, Motor
@@ -72,7 +71,11 @@ def size(variant: Variant, experiment: Experiment, timing: Timing) -> list[Row]:
         signals = twin.advance(timing.ticks(experiment.duration_s))
     except Runaway as error:
         raise UserError(f'{experiment.name} on {variant.name}: {error}') from error
-    killed = [axis for axis, off in zip(AXES, twin.servo_state['killed'][0], strict=True) if off]
+    killed = [
+        axis
+        for axis, off in zip(twin.layout.axes, twin.servo_state['killed'][0], strict=True)
+        if off
+    ]
     if killed:
         raise UserError(
             f'{experiment.name} on {variant.name}: the motor of {killed[0]} was killed; what parts bear '
@@ -80,7 +83,7 @@ def size(variant: Variant, experiment: Experiment, timing: Timing) -> list[Row]:
         )
     signals.note_validity(validity)
     rows = _of_motors(variant, twin, signals)
-    motors = {f'motor {axis}' for axis in AXES} | set(AXES)
+    motors = {f'motor {axis}' for axis in twin.layout.axes} | set(twin.layout.axes)
     for found in validity.extremes():
         if found.check.place not in motors or 'I2T' in found.check.what:
             rows.append(_of_part(found))
@@ -99,7 +102,7 @@ def largest_shares(rows: list[Row]) -> dict[str, float]:
 def _of_motors(variant: Variant, twin: Twin, signals: Signals) -> list[Row]:
     rows = []
     for place, (axis, response) in enumerate(
-        zip(AXES, simulated_responses(twin, signals), strict=True)
+        zip(twin.layout.axes, simulated_responses(twin, signals), strict=True)
     ):
         motor = variant.description.motors.get(axis)
         if motor is None:

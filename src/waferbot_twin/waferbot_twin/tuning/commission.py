@@ -23,8 +23,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from waferbot_copley.current_loop import gains_from_motor
-from waferbot_lockstep.contract import AXES, AXIS_OF, ENCODERS, usual_axis
+from waferbot_lockstep.contract import usual_axis
 from waferbot_lockstep.errors import UserError
+from waferbot_lockstep.layout import SHIPPED as SHIPPED_LAYOUT
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import statics
 from waferbot_plant.assembly import assemble
@@ -93,14 +94,15 @@ def commission(variant: Variant, bandwidths_hz: Mapping[str, float]) -> Variant:
         copley[axis] = _amplifier(one, variant)
         pmac[axis] = _feedback(one, description, axis)
     # Of axes that this machine lacks, the controller asks for nothing.
-    pmac |= {axis: {'Ixx29': 0} for axis in AXES if axis not in description.axes}
+    layout = description.layout
+    pmac |= {axis: {'Ixx29': 0} for axis in layout.axes if axis not in description.axes}
     scaled = variant.with_overlay(Overlay(pmac=pmac, copley=copley))
-    base = servo_parameters(scaled.pmac, variant.name)[0]
+    base = servo_parameters(scaled.pmac, variant.name, variant.layout)[0]
     holding = statics.holding_currents(rigid, rigid.parameters(), {})
     for axis, hertz in bandwidths_hz.items():
         tuning = Tuning(2.0 * math.pi * hertz, DAMPING_RATIO, 1.0, 0.0)
-        gains = loop_gains(tuning, AxisScale.of(rigid, axis), base, axis)
-        amperes = base['amplifier_peak_current'][AXES.index(axis)] / 32768.0
+        gains = loop_gains(tuning, AxisScale.of(rigid, axis), base)
+        amperes = base['amplifier_peak_current'][layout.place(axis)] / 32768.0
         pmac[axis] |= {**gains, 'Ixx29': round(holding[axis] / amperes)}
     return variant.with_overlay(Overlay(pmac=pmac, copley=copley))
 
@@ -116,7 +118,7 @@ def _amplifier(axis: _Axis, variant: Variant) -> dict[str, Any]:
         )
     places = [
         name
-        for name in ENCODERS
+        for name in description.layout.encoders
         if name in description.encoders and axis.moves_with(description.encoders[name])
     ]
     if not places:
@@ -139,7 +141,7 @@ def _amplifier(axis: _Axis, variant: Variant) -> dict[str, Any]:
         'motor_resistance': motor.resistance,
         'proportional_gain': proportional,
         'integral_gain': integral,
-        'commutation_encoder': ENCODERS.index(place),
+        'commutation_encoder': description.layout.encoder_place(place),
         'counts_per_electrical_cycle': per_motor * 2.0 * math.pi / motor.electrical_gain,
     }
 
@@ -148,16 +150,16 @@ def _feedback(axis: _Axis, description: Description, name: str) -> dict[str, Any
     """Return the I-variables of an axis that follow from its encoder."""
     place = description.position_encoder(name)
     if place not in description.encoders:
-        wanted = ' or '.join(one for one in ENCODERS if AXIS_OF[one] == name)
+        wanted = ' or '.join(description.layout.encoders_of(name))
         raise UserError(f'axis {name} has no encoder; it is to be {wanted}')
     encoder = description.encoders[place]
     counts = encoder.counts_per_unit * axis.ratio(encoder.coordinate)
     if counts <= 0.0:
         raise UserError(f'axis {name}: encoder {place} counts against it')
     shipped = servo_parameters(load_model(SHIPPED).of_axes('pmac'), SHIPPED)[0]
-    index = ENCODERS.index(place)
+    index = description.layout.encoder_place(place)
     unit = description.axis_units[name]
-    alike = AXES.index(usual_axis(name, unit))  # of the shipped machine
+    alike = SHIPPED_LAYOUT.place(usual_axis(name, unit))  # of the shipped machine
     fatal = round(16.0 * counts * FATAL_ERROR[unit])
     found: dict[str, Any] = {
         'Ixx03': index,
@@ -168,7 +170,7 @@ def _feedback(axis: _Axis, description: Description, name: str) -> dict[str, Any
         'Ixx12': fatal // 2,
     }
     finer = counts / float(shipped['counts_per_unit'][alike])
-    for one in axis_parameters(name):
+    for one in axis_parameters(name, description.layout):
         if one.name in PER_COUNT:
             value = float(shipped[one.name][alike]) * finer
             value = min(max(value, one.low), one.high)

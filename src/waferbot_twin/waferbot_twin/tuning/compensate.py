@@ -17,7 +17,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import yaml
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.compensation import Table, table_text
 from waferbot_pmac.experiments import Experiment
@@ -87,13 +86,15 @@ def compensate(
     else:
         position = commanded_motion(known, experiment, timing)
         speed = np.abs(np.diff(position, axis=0)).max(axis=0, initial=0.0) * timing.servo_hz
-        moved = [axis for axis in known.description.axes if speed[AXES.index(axis)] > 0.0]
+        moved = [axis for axis in known.description.axes if speed[known.layout.place(axis)] > 0.0]
         travel = {}
         for axis in moved:
-            own = position[:, AXES.index(axis)]
+            own = position[:, known.layout.place(axis)]
             low, high = float(own.min()), float(own.max())
             travel[axis] = (low, max(high, low + LEAST_TRAVEL))
-        highest = {axis: max(float(speed[AXES.index(axis)]), LEAST_SPEED) for axis in moved}
+        highest = {
+            axis: max(float(speed[known.layout.place(axis)]), LEAST_SPEED) for axis in moved
+        }
         tables = machine_tables(known, travel, highest)
     with_tables = compensated(known, tables)
     with_tables = replace(

@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.inverse_dynamics import InverseDynamics
@@ -42,8 +41,8 @@ STANDING = 1e-6
 
 
 def commanded_motion(variant: Variant, experiment: Experiment, timing: Timing) -> Floats:
-    """Return the commanded positions (cycles, 3) of an experiment, m or rad."""
-    parameters = servo_parameters(variant.pmac, variant.name)
+    """Return the commanded positions (cycles, axes) of an experiment, m or rad."""
+    parameters = servo_parameters(variant.pmac, variant.name, variant.layout)
     counts = commanded_positions(
         experiment, parameters, timing.servo_hz, variant.description.axis_units
     )
@@ -65,7 +64,7 @@ def motion_tables(
     acceleration = np.gradient(velocity, axis=0) * timing.servo_hz
     velocity[np.abs(velocity) < STANDING] = 0.0
     dynamics = InverseDynamics(variant.description, timing)
-    columns = [AXES.index(axis) for axis in dynamics.axes]
+    columns = [variant.layout.place(axis) for axis in dynamics.axes]
     currents = dynamics.currents(
         position[:, columns], velocity[:, columns], acceleration[:, columns]
     )
@@ -136,10 +135,10 @@ def compensated(variant: Variant, tables: tuple[Table, ...]) -> Variant:
     is then that of the axis' inertia.
     """
     of_motion = {table.axis for table in tables if table.experiment}
-    servo = servo_parameters(variant.pmac, variant.name)[0]
+    servo = servo_parameters(variant.pmac, variant.name, variant.layout)[0]
     gains: dict[str, dict[str, float]] = {}
     for axis in {table.axis for table in tables}:
-        place = AXES.index(axis)
+        place = variant.layout.place(axis)
         acceleration = 0 if axis in of_motion else _acceleration_gain(variant, servo, axis)
         gains[axis] = {
             'Ixx32': int(servo['Ixx31'][place]), 'Ixx35': acceleration, 'Ixx68': 0
@@ -153,7 +152,7 @@ def compensated(variant: Variant, tables: tuple[Table, ...]) -> Variant:
 def _acceleration_gain(variant: Variant, servo: np.void, axis: str) -> int:
     """Return Ixx35 for the inertia of an axis at home: what `Ixx30 Ixx08 Ixx35` is multiplied by."""
     dynamics = InverseDynamics(variant.description)
-    place, column = AXES.index(axis), dynamics.axes.index(axis)
+    place, column = variant.layout.place(axis), dynamics.axes.index(axis)
     motion = np.zeros((2, len(dynamics.axes)))
     pushed = motion.copy()
     pushed[1, column] = 1.0

@@ -23,7 +23,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_plant import motors, plant
 from waferbot_plant.plant import Machine
@@ -52,11 +51,16 @@ class Tuning:
 
 @dataclass(frozen=True)
 class AxisScale:
-    """What gains are scaled by: moving inertia (kg, kg m2), force at the axis per A, servo cycle (s)."""
+    """
+    What gains are scaled by: moving inertia (kg, kg m2), force at the axis per A, servo cycle (s).
+
+    `place` is that of the axis.
+    """
 
     inertia: float
     force_per_ampere: float
     cycle_s: float
+    place: int
 
     @classmethod
     def of(cls, rigid: Machine, axis: str) -> AxisScale:
@@ -73,6 +77,7 @@ class AxisScale:
             float(mass[row, row]) / to_axis**2,
             motors.force_constant(motor) * abs(ratio),
             cycle_of(rigid.timing),
+            rigid.layout.place(axis),
         )
 
 
@@ -81,22 +86,22 @@ def cycle_of(timing: Timing) -> float:
     return timing.servo_divider * timing.tick_s
 
 
-def i_variables(tuning: Tuning, scale: AxisScale, base: np.void, axis: str) -> IVariables:
+def i_variables(tuning: Tuning, scale: AxisScale, base: np.void) -> IVariables:
     """
     Return Ixx30 to Ixx33 and Ixx36 to Ixx39; `base` (a `SERVO_PARAMETERS` record) has the scaling.
 
     What gain the notch has at rest, Ixx30 makes up for.
     """
-    found = loop_gains(tuning, scale, base, axis)
+    found = loop_gains(tuning, scale, base)
     notch = notch_coefficients(
         tuning.notch_hz, tuning.notch_depth, tuning.notch_width, scale.cycle_s
     )
     return {**found, 'Ixx30': round(found['Ixx30'] / rest_gain(notch)), **notch}
 
 
-def loop_gains(tuning: Tuning, scale: AxisScale, base: np.void, axis: str) -> IVariables:
+def loop_gains(tuning: Tuning, scale: AxisScale, base: np.void) -> IVariables:
     """Return Ixx30 to Ixx33 as they are without a notch."""
-    place = AXES.index(axis)
+    place = scale.place
     amperes = base['amplifier_peak_current'][place] / 32768.0
     counts = base['Ixx08'][place] * base['counts_per_unit'][place]
     derivative = 128.0 * (2.0 * tuning.damping_ratio / tuning.natural_frequency) / scale.cycle_s
@@ -109,9 +114,9 @@ def loop_gains(tuning: Tuning, scale: AxisScale, base: np.void, axis: str) -> IV
     }
 
 
-def tuning_of(servo: np.void, scale: AxisScale, axis: str) -> Tuning:
+def tuning_of(servo: np.void, scale: AxisScale) -> Tuning:
     """Return the tuning values of an axis' present gains; a notch that is there is not read."""
-    place = AXES.index(axis)
+    place = scale.place
     amperes = servo['amplifier_peak_current'][place] / 32768.0
     counts = servo['Ixx08'][place] * servo['counts_per_unit'][place]
     per_inertia = servo['Ixx30'][place] * scale.force_per_ampere * counts * amperes

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
+from waferbot_lockstep.layout import Layout
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.plant import Machine
 from waferbot_twin import closed_loop
@@ -50,6 +50,7 @@ class Linearised:
     pose: Mapping[str, float]
     plant: SampledPlant
     timing: Timing
+    layout: Layout
 
     @classmethod
     def of(
@@ -57,7 +58,7 @@ class Linearised:
     ) -> Linearised:
         """Linearise a machine at a pose; raises `UserError`."""
         plant = closed_loop.sampled_plant(machine, timing, pose)
-        return cls(name, dict(pose), plant, timing)
+        return cls(name, dict(pose), plant, timing, machine.layout)
 
     @cached_property
     def frequency_hz(self) -> Array:
@@ -84,15 +85,16 @@ class Linearised:
         return self.counts_over_current(np.array([0.5 * self.timing.servo_hz]))
 
     def counts_over_current(self, frequency_hz: Array) -> ComplexArray:
-        """Return G (n, 4, 3), counts per A, at frequencies (n,), Hz."""
+        """Return G (n, encoders, axes), counts per A, at frequencies (n,), Hz."""
         return response(
             self.plant.state, self.plant.input, self.plant.output,
-            np.zeros((len(ENCODERS), len(AXES))), frequency_hz, self.timing,
+            np.zeros((len(self.plant.output), self.plant.input.shape[1])), frequency_hz, self.timing,
         )  # fmt: skip
 
     def loop(self, servo: np.void, axis: str) -> Loop:
         """Return the loop of an axis under a servo (its `SERVO_PARAMETERS` record)."""
-        return Loop(self, closed_loop.servo_law(servo), AXES.index(axis))
+        law = closed_loop.servo_law(servo, len(self.plant.output))
+        return Loop(self, law, self.layout.place(axis))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +126,7 @@ class Loop:
         )
         product = current @ counts
         i = self.place
-        others = [place for place in range(len(AXES)) if place != i]
+        others = [place for place in range(product.shape[1]) if place != i]
         rest = np.eye(len(others)) - product[:, others][:, :, others]
         through = np.linalg.solve(rest, product[:, others, i][..., None])[..., 0]
         return np.asarray(-(product[:, i, i] + np.sum(product[:, i, others] * through, axis=1)))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import Experiment
 from waferbot_twin.effects.variant import Variant
@@ -94,10 +93,8 @@ def _of_steps(response: AxisResponse) -> tuple[float, float]:
 
 def moving_axis(experiment: Experiment) -> str | None:
     """Return the axis that an experiment moves, None if it moves several."""
-    axes = {axis for axis in AXES if axis in experiment.motion}
+    axes = set(experiment.motion)
     for statement in experiment.program:
         for mode in ('linear', 'rapid'):
-            axes |= {
-                axis for axis in AXES for key in statement.get(mode, {}) if key.startswith(axis)
-            }
+            axes |= {key.rpartition('_')[0] for key in statement.get(mode, {})}
     return axes.pop() if len(axes) == 1 else None

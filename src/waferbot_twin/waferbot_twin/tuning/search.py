@@ -90,12 +90,12 @@ class Design:
 
     def gains(self, tuning: Tuning) -> IVariables:
         """Return the I-variables of tuning values."""
-        return i_variables(tuning, self.scale, self.servo({}), self.axis)
+        return i_variables(tuning, self.scale, self.servo({}))
 
     def servo(self, gains: IVariables) -> np.void:
         """Return the `SERVO_PARAMETERS` record of the model with other gains of the axis."""
         settings = {**self.variant.pmac, self.axis: {**self.variant.pmac[self.axis], **gains}}
-        return servo_parameters(settings, self.variant.name)[0]
+        return servo_parameters(settings, self.variant.name, self.variant.layout)[0]
 
     def with_gains(self, gains: IVariables) -> Variant:
         """Return the model with other gains of the axis."""

@@ -142,7 +142,7 @@ def tune(
 
     With both, the experiment is run with the gains before and after. Raises `UserError`.
     """
-    present = tuning_of(design.servo({}), design.scale, design.axis)
+    present = tuning_of(design.servo({}), design.scale)
     if bandwidth_hz is not None:
         found = for_bandwidth(design, bandwidth_hz, present, generations)
     elif experiment is not None:

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES, ENCODERS
 from waferbot_twin.effects.places import axis_counts, length_unit, position_encoder
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.metrics import performance_improvement, rms
@@ -95,9 +94,10 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
     closed_loop = record.closes_loop
     errors = (_closed_loop_errors if closed_loop else _plant_errors)(nominal, extended, record)
     found = []
-    for axis in AXES:
+    layout = record.layout
+    for axis in layout.axes:
         per_unit = axis_counts(nominal, axis)
-        place = ENCODERS.index(position_encoder(nominal, axis))
+        place = layout.encoder_place(position_encoder(nominal, axis))
         if axis not in nominal.description.motors or place not in errors:
             continue
         time_s, measured, before, after = errors[place]
@@ -161,7 +161,7 @@ def _closed_loop_errors(nominal: Variant, extended: Variant, record: Record) -> 
             before[:, place] - record.reading[:, place],
             after[:, place] - record.reading[:, place],
         )
-        for place in range(len(ENCODERS))
+        for place in range(len(record.layout.encoders))
         if np.isfinite(record.reading[:, place]).any()
     }
 
@@ -172,7 +172,7 @@ def _plant_errors(nominal: Variant, extended: Variant, record: Record) -> Errors
     block = PlantBlock(record, nominal, observer_hz)
     before, after = (block.innovations(variant) for variant in (nominal, extended))
     return {
-        ENCODERS.index(channel): (
+        record.layout.encoder_place(channel): (
             block.times_s(channel), block.measured(channel), -before[row], -after[row]
         )
         for row, channel in enumerate(block.channels)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from waferbot_lockstep.contract import AXES, ENCODERS_TOPIC
+from waferbot_lockstep.contract import ENCODERS_TOPIC
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.motors import force_constant
 from waferbot_plant.plant import load_machine
@@ -78,7 +78,7 @@ class ViewContent:
         model = recorded_model(recording)
         machine = load_machine(model.parameters['plant'].get('description', 'rigid'))
         description = machine.description
-        lacking = [axis for axis in AXES if axis not in description.motors]
+        lacking = [axis for axis in description.layout.axes if axis not in description.motors]
         if lacking:
             raise UserError(f'{recording.path}: its machine has no motor of {", ".join(lacking)}')
         run = recording.run

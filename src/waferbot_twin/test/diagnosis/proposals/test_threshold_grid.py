@@ -117,7 +117,8 @@ def test_the_largest_command_is_tried_as_a_limit(nominal):
     per_bit = places.current_per_bit(nominal, 'x_rotate')
     command = np.zeros((50, 3))
     command[:, 1] = per_bit * np.linspace(-11821.0, 7000.0, 50)
-    problem = SimpleNamespace(nominal=nominal, records=[SimpleNamespace(command=command)])
+    record = SimpleNamespace(command=command, layout=nominal.layout)
+    problem = SimpleNamespace(nominal=nominal, records=[record])
     (effect,) = limited_commands(problem)
     assert effect.axes(nominal) == ('x_rotate',)  # the others were commanded nothing
     assert effect.trials(nominal, 'x_rotate') == ({'limit': 11821.0},)

@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.diagnosis.inference.nuisance import is_nuisance
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Block, Effect, Parameter
@@ -45,7 +44,7 @@ def tables(variant: Variant, records: Sequence[Record]) -> list[Effect]:
         encoder = places.position_encoder(variant, axis)
         if encoder not in variant.description.encoders:
             continue
-        column = ENCODERS.index(encoder)
+        column = variant.layout.encoder_place(encoder)
         per_unit = places.axis_counts(variant, axis)
         readings = [record.reading[:, column] for record in records]
         known = np.concatenate([reading[np.isfinite(reading)] for reading in readings])

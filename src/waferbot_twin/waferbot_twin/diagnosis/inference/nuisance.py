@@ -28,7 +28,6 @@ from typing import Any
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.description_drives import FORCE_KEYS
 from waferbot_plant.motors import force_constant
@@ -205,12 +204,13 @@ def _connections_of_parts(variant: Variant) -> dict[str, list[str]]:
 
 def _of_logs(records: Sequence[Record]) -> list[Number]:
     """Return the time of the drive of every axis, the same in all logs, as far as they leave it open."""
-    spreads = np.zeros(len(AXES))
+    axes = records[0].layout.axes if records else ()
+    spreads = np.zeros(len(axes))
     for record in records:
         spreads = np.maximum(spreads, record.skew_spread_s)
     return [
         Number(LOGS, axis, 'skew_s', spread, f'time of the drive of {axis} in the logs', 's', 0.0)
-        for axis, spread in zip(AXES, spreads.tolist(), strict=True)
+        for axis, spread in zip(axes, spreads.tolist(), strict=True)
         if spread > 0.0
     ]
 

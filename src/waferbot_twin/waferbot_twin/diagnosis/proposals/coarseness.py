@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import ENCODERS
 from waferbot_twin.effects import sensors
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.record import Record, common_step
@@ -22,7 +21,7 @@ def coarser_steps(variant: Variant, records: Sequence[Record]) -> dict[str, floa
     for axis in sensors.measured_axes(variant):
         encoder = sensors.of_axis(variant, axis)
         readings = np.concatenate(
-            [record.reading[:, ENCODERS.index(encoder.place)] for record in records]
+            [record.reading[:, variant.layout.encoder_place(encoder.place)] for record in records]
         )
         known = np.unique(readings[np.isfinite(readings)])
         step = float(common_step(known))

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from waferbot_copley.limiter import accumulate, i2t_setpoint
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.effects import i2t_foldback, places
 from waferbot_twin.effects.effect import Effect, Values
 from waferbot_twin.effects.variant import Variant
@@ -62,7 +61,7 @@ def _longest(variant: Variant, axis: str, record: Record) -> tuple[int, Values]:
     """Return how many ticks a log's longest fold-back has, and its values; 0 without one."""
     if record.terminals is None or record.command is None:
         return 0, {}
-    place, timing = AXES.index(axis), record.timing
+    place, timing = record.layout.place(axis), record.timing
     lines = record.terminals.current[:, 2 * place : 2 * place + 2]
     given = amplitude(*lines.T)
     asked = np.repeat(np.abs(record.command[:, place]), timing.servo_divider)[: len(given)]

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXES
 from waferbot_twin.diagnosis.proposals.coarseness import coarser_steps
 from waferbot_twin.diagnosis.proposals.cogging_orders import measured_by_others, orders_of
 from waferbot_twin.diagnosis.proposals.folded_back import folded_back
@@ -48,7 +47,7 @@ def limited_commands(problem: Problem) -> list[Effect]:
     limits = {}
     for axis in output_limit.EFFECT.axes(problem.nominal):
         own = [
-            record.command[:, AXES.index(axis)]
+            record.command[:, record.layout.place(axis)]
             for record in problem.records
             if record.command is not None
         ]

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.residuals.record import Array, Record
@@ -39,12 +38,12 @@ def gaps_of(variant: Variant, records: Sequence[Record]) -> dict[str, float]:
 
 def _counts_of_axis(variant: Variant, axis: str) -> dict[int, float]:
     """Return counts per m or rad of an axis for each of its encoders, by their place in a reading."""
-    placing = variant.base.rigid.placing
+    placing, layout = variant.base.rigid.placing, variant.base.layout
     own = placing[places.coordinate(variant, axis)][1]
     return {
-        ENCODERS.index(name): encoder.counts_per_unit * placing[encoder.coordinate][1] / own
+        layout.encoder_place(name): encoder.counts_per_unit * placing[encoder.coordinate][1] / own
         for name, encoder in variant.base.description.encoders.items()
-        if AXIS_OF[name] == axis
+        if name in layout.encoders_of(axis)
     }
 
 

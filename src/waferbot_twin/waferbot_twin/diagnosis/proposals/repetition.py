@@ -15,7 +15,6 @@ import math
 
 import numpy as np
 
-from waferbot_lockstep.contract import AXIS_OF, ENCODERS
 from waferbot_twin.effects import places
 from waferbot_twin.effects.effect import Parameter
 from waferbot_twin.residuals.problem import Cause, Problem
@@ -28,7 +27,7 @@ def can_repeat(problem: Problem, cause: Cause) -> bool:
     """Return whether a cause does not repeat along the way, or its axis goes any way at all."""
     if not cause.effect.repeats_after(problem.nominal, cause.axis, cause.values):
         return True
-    encoders = {name for name in ENCODERS if AXIS_OF[name] == cause.axis}
+    encoders = set(problem.nominal.layout.encoders_of(cause.axis))
     return any(
         float(np.ptp(plant.measured(name))) > STANDS
         for plant in problem.plants
