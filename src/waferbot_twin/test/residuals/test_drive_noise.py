@@ -20,6 +20,7 @@ from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.models import load_model_or_machine
 from waferbot_twin.residuals.drive_noise import (
     CurrentNoise,
+    by_octaves,
     quieter,
     white_floor,
     white_floors,
@@ -57,7 +58,7 @@ def noise(sigma):
 @pytest.mark.parametrize('samples', [64, 512])
 def test_white_noise_is_found_and_taken_out(kind, between, sigma, samples) -> None:
     true, read = (at_ticks(one, kind) for one in (current(), current() + noise(sigma)))
-    assert white_floor(read, *between) == pytest.approx(sigma, rel=0.15)
+    assert white_floor([by_octaves(read, *between)]) == pytest.approx(sigma, rel=0.15)
     left = quieter(read, CurrentNoise(sigma, samples), *between)
     assert np.std(left - true) < 0.5 * np.std(read - true)
 
@@ -66,7 +67,7 @@ def test_white_noise_is_found_and_taken_out(kind, between, sigma, samples) -> No
 def test_a_current_without_noise_stays(kind, between) -> None:
     """A wave that begins and ends where it is level has next to nothing above its own frequency."""
     true = at_ticks(np.cos(np.linspace(0.0, 20.0 * np.pi, SAMPLES)), kind)
-    assert white_floor(true, *between) < 1e-3
+    assert white_floor([by_octaves(true, *between)]) < 1e-3
     np.testing.assert_allclose(quieter(true, CurrentNoise(0.0, 64), *between), true, atol=1e-12)
 
 
@@ -85,8 +86,18 @@ def test_a_short_window_keeps_what_comes_and_goes() -> None:
 
 def test_what_is_too_short_has_no_floor_and_stays() -> None:
     few = np.arange(10.0)
-    assert white_floor(few, 1.0, 2) == 0.0
+    assert white_floor([by_octaves(few, 1.0, 2)]) == 0.0
     np.testing.assert_array_equal(quieter(few[:3], CurrentNoise(1.0, 64), 1.0, 2), few[:3])
+
+
+def test_the_floor_of_short_logs_is_that_of_all_of_them() -> None:
+    """The least of single ones would be as low as chance makes it."""
+    parts = [
+        by_octaves(part, float(TICKS), 2)
+        for part in np.split(at_ticks(1.0 + noise(0.2), 'straight'), 40)
+    ]
+    assert white_floor(parts) == pytest.approx(0.2, rel=0.1)
+    assert min(white_floor([part]) for part in parts) < 0.17
 
 
 def test_gaps_stay_and_so_does_the_mean(motor) -> None:

@@ -24,6 +24,7 @@ none.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -39,8 +40,8 @@ from waferbot_twin.residuals.record import Record
 
 Array = NDArray[np.float64]
 
-FEWEST = 4
-"""Octaves of the spectrum that are too short to tell a level, the lowest."""
+FEWEST = 16
+"""Lines of an octave at least, to tell a level."""
 
 BAND, WINDOWS = 0.25, 3
 """Half of the band over which S is averaged, as a share of its frequency, and over how many windows."""
@@ -64,13 +65,19 @@ class CurrentNoise:
 
 
 def white_floors(records: Sequence[Record]) -> dict[str, float]:
-    """Return what of the measured current of each axis may be white noise, A, in all of some logs."""
-    floors: dict[str, float] = {}
+    """
+    Return the largest standard deviation (A) that white noise in the current of each axis can have.
+
+    That of the octave which has least in all logs together. Not of an axis of which no current is
+    measured, or of which logs are too short.
+    """
+    octaves: dict[str, list[Array]] = {}
     for record in records:
         for place, axis in enumerate(record.layout.axes):
             if (current := measured_current(record, place)) is not None:
-                floor = white_floor(current, *_between(record, place, current))
-                floors[axis] = min(floor, floors.get(axis, math.inf))
+                between = _between(record, place, current)
+                octaves.setdefault(axis, []).append(by_octaves(current, *between))
+    floors = {axis: white_floor(parts) for axis, parts in octaves.items()}
     return {axis: floor for axis, floor in floors.items() if floor}
 
 
@@ -108,25 +115,34 @@ def without_noise(record: Record, noise: Mapping[str, CurrentNoise]) -> Record:
     return replace(record, current=current, path=path)
 
 
-def white_floor(current: Array, step: float, smooth: int) -> float:
+def white_floor(parts: Sequence[Array]) -> float:
+    """Return that of an axis from the octaves (`by_octaves`) of its logs; 0 if they are too short."""
+    together = np.zeros((max(len(part) for part in parts), 2))
+    for part in parts:
+        together[: len(part)] += part
+    return math.sqrt(float(np.min(together[:, 0] / together[:, 1]))) if len(together) else 0.0
+
+
+def by_octaves(current: Array, step: float, smooth: int) -> Array:
     """
-    Return the largest standard deviation (A) that white noise of a log's samples can have.
+    Return the power of a current in the octaves below half of its log's rate, the highest first: (k, 2).
 
     Of a current at ticks (n,) with a sample every `step` of them, held (`smooth` 1) or straight (2)
-    between. That of the octave which has least, up to half of the log's rate; 0 where there is none.
+    between. With it what white noise of 1 A in the samples has there.
     """
     lines = dct(current, norm='ortho')
     below = math.ceil(len(lines) / step)
-    first = 2 ** np.arange(FEWEST, int(math.log2(max(below, 1))))
-    if not len(first):
-        return 0.0
     of_noise = _of_noise(0.5 * np.arange(below) / len(lines), step, smooth)
-    squares, own = (np.add.reduceat(one, first) for one in (lines[:below] ** 2, of_noise))
-    return math.sqrt(float(np.min(squares / own)))
+    both = np.column_stack([lines[:below] ** 2, of_noise])
+    ends = below // 2 ** np.arange(int(math.log2(max(below, 1))) + 1)
+    ends = ends[ends >= FEWEST]
+    return np.array(
+        [both[low:high].sum(axis=0) for high, low in itertools.pairwise(ends)]
+    ).reshape(-1, 2)
 
 
 def quieter(current: Array, noise: CurrentNoise, step: float, smooth: int) -> Array:
-    """Return a current (n,) without its noise, equation (1); `step` and `smooth` as in `white_floor`."""
+    """Return a current (n,) without its noise, equation (1); `step` and `smooth` as in `by_octaves`."""
     window = min(round(noise.samples * step), len(current))
     window -= window % OVERLAP
     if window < OVERLAP:
