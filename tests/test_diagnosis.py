@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from harness import output_of, patiently, run_engine
 
+from waferbot_lockstep.layout import SHIPPED
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.models import load_model
@@ -154,7 +155,9 @@ def test_the_log_does_not_hold_the_truth(tmp_path):
     recording = read_recording(folder)
     assert set(recording.attachments) == {'run.json'}
     assert '/joint_states' not in recording.counts
-    assert set(recording.run) == {'engine', 'ticks', 'timing'}
+    assert set(recording.run) == {'engine', 'ticks', 'timing', 'axes', 'encoders'}
+    assert recording.run['axes'] == list(SHIPPED.axes)  # of the model, whatever is hidden in it
+    assert recording.run['encoders'] == list(SHIPPED.encoders)
 
 
 @pytest.mark.slow
