@@ -31,17 +31,14 @@ from waferbot_twin.residuals.drive_noise import CurrentNoise, white_floors, with
 from waferbot_twin.residuals.problem import Cause, Problem
 from waferbot_twin.residuals.record import Record
 
-FIRST = ('wrong_inertia', 'coulomb_friction', 'viscous_friction', 'constant_force')
-"""What everybody fits first."""
+LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
+"""What a least-squares model of an axis has beside its inertia or mass and its force constant."""
 
 WINDOWS = tuple(16 * 2**octave for octave in range(11))
 """Samples of a window."""
 
 TIMES = tuple(2.0 ** (0.25 * step) for step in range(5))
 """How many times the noise is taken out."""
-
-ROUNDS = 10
-"""How often windows are chosen at most, each time beside what was fitted with those before."""
 
 _Noise = Mapping[str, CurrentNoise]
 
@@ -71,7 +68,7 @@ def noise_of_currents(nominal: Variant, records: Sequence[Record], workers: int 
     try:
         first = _first(problem_of({}), floors)
         as_read, found = fitted({}, first), fitted(noise, first)
-        for _ in range(ROUNDS):
+        while True:  # the likelihood rises each time
             tried = noise
             for axis, floor in floors.items():
                 own = tried.get(axis, CurrentNoise(floor, WINDOWS[2]))
@@ -110,7 +107,7 @@ def _first(problem: Problem, axes: Sequence[str] | Mapping[str, float]) -> list[
     """Return what everybody fits first on some axes, with nothing of it."""
     return [
         _none_of(problem, effect, axis)
-        for effect in map(find, FIRST)
+        for effect in map(find, ('wrong_inertia', *LEAST_SQUARES))
         for axis in effect.axes(problem.nominal)
         if axis in axes and problem.touched(effect, axis)
     ]

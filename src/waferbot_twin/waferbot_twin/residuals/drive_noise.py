@@ -35,6 +35,7 @@ from scipy.fft import dct
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import istft, stft
 
+from waferbot_twin.noise_model.residual_spectrum import BAND
 from waferbot_twin.residuals.drive_path import DrivePath
 from waferbot_twin.residuals.record import Record
 
@@ -43,8 +44,8 @@ Array = NDArray[np.float64]
 FEWEST = 16
 """Lines of an octave at least, to tell a level."""
 
-BAND, WINDOWS = 0.25, 3
-"""Half of the band over which S is averaged, as a share of its frequency, and over how many windows."""
+WINDOWS = 3
+"""Windows over which S is averaged, each over a band of its frequency (`residual_spectrum.BAND`)."""
 
 OVERLAP = 4
 """Windows that a sample is in."""

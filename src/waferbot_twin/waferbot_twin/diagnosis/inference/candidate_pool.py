@@ -65,11 +65,9 @@ from waferbot_twin.estimation.hypothesis import (
     lets_go,
     parameters_of,
 )
+from waferbot_twin.estimation.noise_of_currents import LEAST_SQUARES
 from waferbot_twin.estimation.stacked_least_squares import Signature
 from waferbot_twin.residuals.problem import PLANT, Cause, Problem, apply_all
-
-LEAST_SQUARES = ('coulomb_friction', 'viscous_friction', 'constant_force')
-"""What a least-squares model of an axis has beside its mass and force constant."""
 
 KEPT = 2
 """Of how many hypotheses the signatures are kept: tens of megabytes each in long logs."""
