@@ -29,6 +29,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from fuzzing.mutations import damaged, exchanged, misspelt
 from waferbot_copley.settings import amplifier_parameters
+from waferbot_lockstep.contract import AXES
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.plant import config_folder, load_machine
 from waferbot_pmac.experiments import commanded_positions, load_experiment
@@ -573,7 +574,7 @@ ARGUMENTS = (
 def _feed_arguments(content: bytes, folder: Path) -> None:
     text = content.decode('utf-8', 'surrogateescape').replace('\0', '')
     for read in (
-        lambda: parse_channel(text, 'x_rotate'),
+        lambda: parse_channel(text, 'x_rotate', AXES),
         lambda: named([text], _nominal()),
         lambda: parse_all([text], _nominal()),
         lambda: load_model(text),

@@ -66,6 +66,10 @@ def read_bag(path: Path) -> Content:
             for connection in reader.connections:
                 if not isinstance(connection.topic, str):
                     raise AnyReaderError(f'the name of a topic is {connection.topic!r}')
+                if not isinstance(connection.msgtype, str):
+                    raise AnyReaderError(
+                        f'the type of topic {connection.topic} is {connection.msgtype!r}'
+                    )
                 content.types[connection.topic] = connection.msgtype
                 encoding = {
                     MessageDefinitionFormat.MSG: 'ros2msg',
