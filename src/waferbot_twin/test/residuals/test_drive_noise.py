@@ -28,6 +28,7 @@ from waferbot_twin.residuals.drive_noise import (
 )
 from waferbot_twin.residuals.from_measured_log import record_of_measured_log
 from waferbot_twin.residuals.problem import Cause, Problem
+from waferbot_twin.residuals.windows import Windows
 
 AXIS = 'x_rotate'
 SEED = 31
@@ -167,12 +168,14 @@ def motor():
 def test_an_inertia_is_right_without_the_noise_and_too_large_with_it(motor, sigma) -> None:
     """A tenth or half of the current is noise; taken for torque it takes the inertia to its bound."""
     record = record_of_measured_log(spin_up(sigma), motor)
-    assert noise_of_currents(motor, [record])[AXIS].ampere == pytest.approx(sigma, rel=0.15)
-    (quiet,), (told,) = without_noise_of_currents(motor, [record], [record])
+    assert noise_of_currents(motor, [Windows(record)])[AXIS].ampere == pytest.approx(
+        sigma, rel=0.15
+    )
+    (quiet,), (told,) = without_noise_of_currents(motor, [Windows(record)], [Windows(record)])
     assert 'A RMS are noise' in told
     inertia, *_ = fitted(motor, record)
     assert inertia > 1.5 * INERTIA
-    inertia, coulomb, viscous = fitted(motor, quiet)
+    inertia, coulomb, viscous = fitted(motor, quiet.record)
     assert inertia == pytest.approx(INERTIA, rel=0.02)
     assert coulomb == pytest.approx(COULOMB, rel=0.01)
     assert viscous == pytest.approx(VISCOUS, rel=0.02)
@@ -182,10 +185,10 @@ def test_a_current_that_the_machine_answers_is_no_noise(motor) -> None:
     """As white as noise would be, but it is what moves the machine."""
     record = record_of_measured_log(spin_up(0.1, answered=True), motor)
     assert white_floors([record])[AXIS] == pytest.approx(0.1, rel=0.15)
-    assert not noise_of_currents(motor, [record])
-    (same,), told = without_noise_of_currents(motor, [record], [record])
+    assert not noise_of_currents(motor, [Windows(record)])
+    (same,), told = without_noise_of_currents(motor, [Windows(record)], [Windows(record)])
     assert not told
-    np.testing.assert_array_equal(same.current, record.current)
+    np.testing.assert_array_equal(same.record.current, record.current)
     inertia, *_ = fitted(motor, record)
     assert inertia == pytest.approx(INERTIA, rel=0.02)
 
@@ -195,4 +198,4 @@ def test_logs_without_a_measured_current_have_none(motor) -> None:
     told = replace(current, kind='force', unit='Nm', value=PER_AMPERE * current.value)
     record = record_of_measured_log(MeasuredLog('log', (position, told)), motor)
     assert not white_floors([record])
-    assert not noise_of_currents(motor, [record])
+    assert not noise_of_currents(motor, [Windows(record)])

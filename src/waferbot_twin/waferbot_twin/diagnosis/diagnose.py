@@ -173,11 +173,9 @@ def diagnose(
     if not validation:
         estimation, validation = _divide(estimation)
         notes.append(said.ONE_LOG)
-    logs = [*estimation, *validation]
-    parts = [part for one in in_windows(logs, nominal) for part in one.records]
-    logs, quiet = without_noise_of_currents(sized_by(logs, nominal), logs, parts, workers)
-    estimation, validation = logs[: len(estimation)], logs[len(estimation) :]
+    sized = sized_by([*estimation, *validation], nominal)
     windows = [*in_windows(estimation, nominal), *in_windows(validation, nominal)]
+    windows, quiet = without_noise_of_currents(sized, windows, windows, workers)
     estimation, validation = (
         [part for one in some for part in one.records]
         for some in (windows[: len(estimation)], windows[len(estimation) :])

@@ -27,6 +27,7 @@ from waferbot_twin.residuals.observer_bandwidth import with_observers
 from waferbot_twin.residuals.problem import BlockOfLog, Problem
 from waferbot_twin.residuals.record import Array, Record
 from waferbot_twin.residuals.shown import shown_residual
+from waferbot_twin.residuals.windows import Windows
 from waferbot_twin.validation.gain import AxisGain, gains
 
 AT_BOUND = 0.01
@@ -84,8 +85,10 @@ def identify(
     Raises `UserError` if the logs show none of them or the model cannot be simulated.
     """
     begun_s = time.perf_counter()
-    logs, quiet = without_noise_of_currents(nominal, [*records, *judging], records, workers)
-    records, judging = logs[: len(records)], logs[len(records) :]
+    logs = [Windows(record) for record in (*records, *judging)]
+    logs, quiet = without_noise_of_currents(nominal, logs, logs[: len(records)], workers)
+    whole = [one.record for one in logs]
+    records, judging = whole[: len(records)], whole[len(records) :]
     problem = Problem(nominal, with_observers(records, nominal, nominal))
     fitted = estimate(problem, parameters, progress, workers)
     found, told = with_known(problem, fitted, known or {})
