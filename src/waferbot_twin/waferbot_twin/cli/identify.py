@@ -83,6 +83,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='m/s or rad/s below which samples are left out (default: by the noise)',
     )  # fmt: skip
     of_squares.add_argument(
+        '--late', dest='late_ms', type=float, metavar='MS',
+        help='how late the drive stands against the position (default: found from the logs)',
+    )  # fmt: skip
+    of_squares.add_argument(
         '--map', dest='mapping', metavar='FILE', help='mapping of logs that are not imported yet'
     )
     parser.add_argument('--out', type=Path, metavar='DIR', help='write report and model here')
@@ -108,7 +112,8 @@ def execute(options: argparse.Namespace) -> int:
         )
     for name, value in (
         ('--with', options.terms), ('--cut-off', options.cut_off),
-        ('--dead-zone', options.dead_zone), ('--map', options.mapping),
+        ('--dead-zone', options.dead_zone), ('--late', options.late_ms is not None),
+        ('--map', options.mapping),
     ):  # fmt: skip
         if value:
             raise UserError(f'{name} belongs to --method least-squares')
@@ -220,6 +225,8 @@ def _options(options: argparse.Namespace) -> Options:
         raise UserError(f'--cut-off is {options.cut_off:g} Hz; it must be above 0')
     if not (math.isfinite(options.dead_zone) and options.dead_zone >= 0.0):
         raise UserError(f'--dead-zone is {options.dead_zone:g}; it must be a speed, at least 0')
+    if options.late_ms is not None and not math.isfinite(options.late_ms):
+        raise UserError(f'--late is {options.late_ms:g} ms; it must be a time')
     orders: list[float] = []
     for term in options.terms:
         name, given, numbers = term.partition('=')
@@ -241,4 +248,5 @@ def _options(options: argparse.Namespace) -> Options:
         tuple(dict.fromkeys(orders)),
         options.cut_off,
         options.dead_zone,
+        None if options.late_ms is None else 1e-3 * options.late_ms,
     )

@@ -23,7 +23,6 @@ from waferbot_twin.identification.least_squares import (
     AxisFit,
     LeastSquares,
     LogError,
-    Options,
     identify_by_least_squares,
 )
 from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
@@ -42,8 +41,8 @@ def reference_of(
     """
     Return the least squares of logs, None where no axis of them can be fitted so.
 
-    Where gravity swings an axis, a sine and a cosine of the angle stand for it. With an extended model
-    the errors of both models stand beside those of the coefficients (`force_error`).
+    With an extended model the errors of both models stand beside those of the coefficients
+    (`force_error`).
     """
     found = [
         one
@@ -85,26 +84,10 @@ def _alone(log: MeasuredLog, axis: str) -> MeasuredLog:
 def _of_axis(
     logs: Sequence[MeasuredLog], validation: Sequence[MeasuredLog], nominal: Variant, axis: str
 ) -> LeastSquares | None:
-    options = Options(orders=(1.0,) if _swings(nominal, axis) else ())
     try:
-        return identify_by_least_squares(logs, validation, nominal, options)
+        return identify_by_least_squares(logs, validation, nominal)
     except UserError:
         return None
-
-
-def _swings(nominal: Variant, axis: str) -> bool:
-    """Return whether gravity has a torque on an axis that changes with its angle."""
-    if axis not in places.jointed_axes(nominal) or not places.rotary(nominal, axis):
-        return False
-    joint, direction = places.joint_of(nominal, axis), places.direction_of(nominal, axis)
-    assert joint is not None
-    bodies = [nominal.description.bodies[name] for name in places.carried_bodies(nominal, axis)]
-    moment = sum(body.mass * (body.centre_of_gravity - joint.at) for body in bodies)
-    gravity = nominal.description.gravity
-    return bool(
-        np.linalg.norm(np.cross(direction, moment)) * np.linalg.norm(np.cross(direction, gravity))
-        > 0.0
-    )
 
 
 def reference_rows(

@@ -166,6 +166,13 @@ def electrical_cycle(variant: Variant, axis: str) -> float:
     return 2.0 * math.pi / abs(variant.description.motors[axis].electrical_gain)
 
 
+def cycle_of_axis(variant: Variant, axis: str) -> float:
+    """Return how far an axis goes in an electrical cycle, m or rad; inf if its poles are unknown."""
+    if axis not in motor_axes(variant) or not variant.description.motors[axis].poles_known:
+        return math.inf
+    return electrical_cycle(variant, axis) / motor_ratio(variant, axis)
+
+
 def period_of_order(variant: Variant, axis: str, values: Mapping[str, float]) -> float:
     """Return how far an axis goes, m or rad, in a period of `order` per electrical cycle."""
     return electrical_cycle(variant, axis) / motor_ratio(variant, axis) / values['order']
@@ -183,6 +190,21 @@ def joint_of(variant: Variant, axis: str) -> Joint | None:
 def jointed_axes(variant: Variant) -> tuple[str, ...]:
     """Return the axes with a motor that carry a body, not only a rotor."""
     return tuple(axis for axis in motor_axes(variant) if joint_of(variant, axis) is not None)
+
+
+def swings(variant: Variant, axis: str) -> bool:
+    """Return whether gravity has a torque on an axis that changes with its angle."""
+    if axis not in jointed_axes(variant) or not rotary(variant, axis):
+        return False
+    joint, direction = joint_of(variant, axis), direction_of(variant, axis)
+    assert joint is not None
+    bodies = [variant.description.bodies[name] for name in carried_bodies(variant, axis)]
+    moment = sum(body.mass * (body.centre_of_gravity - joint.at) for body in bodies)
+    gravity = variant.description.gravity
+    return bool(
+        np.linalg.norm(np.cross(direction, moment)) * np.linalg.norm(np.cross(direction, gravity))
+        > 0.0
+    )
 
 
 def carried_axes(variant: Variant) -> tuple[str, ...]:

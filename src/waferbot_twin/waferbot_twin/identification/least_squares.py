@@ -28,10 +28,10 @@ from waferbot_twin.estimation.inverse_dynamics import (
     Filtered,
     Stretch,
     Terms,
+    attenuation,
     cut_off,
     estimate,
     filter_all,
-    noise_share,
     relative_error,
 )
 from waferbot_twin.estimation.residual_curves import (
@@ -56,8 +56,9 @@ class Options:
     """
     What a user may choose: terms, the cut-off in Hz and the dead zone in m/s or rad/s.
 
-    `None` and 0 leave the last two to the method; the flags are those of `Terms`. `orders` are sines
-    of the position: per turn on an axis that turns, per m on one that slides.
+    `None` and 0 leave these two to the method; the flags are those of `Terms`. `orders` are sines
+    of the position: per turn on an axis that turns, per m on one that slides. `late_s` is how late the
+    drive stands against the position, `None` to find it.
     """
 
     by_direction: bool = False
@@ -65,6 +66,7 @@ class Options:
     orders: tuple[float, ...] = ()
     cut_off_hz: float | None = None
     dead_zone: float = 0.0
+    late_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,8 @@ def identify_by_least_squares(
     Return inertia and friction of every axis that the logs have position and drive of.
 
     All logs are fitted together; `validation` are those that judge. `variant` gives the force per
-    ampere where a log has no force. Raises `UserError` if no axis can be fitted.
+    ampere where a log has no force, and says where gravity swings an axis: a sine and a cosine of the
+    angle stand for it. Raises `UserError` if no axis can be fitted.
     """
     options = options or Options()
     axes = axes_in_order(axis for log in logs for axis in log.usable_axes())
@@ -166,9 +169,7 @@ def _fit(
     """Fit one axis; raises `UserError`."""
     mine = [log for log in logs if axis in log.usable_axes()]
     judges = [log for log in validation if axis in log.usable_axes()]
-    cycle = math.inf
-    if variant is not None and axis in places.motor_axes(variant):
-        cycle = places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
+    cycle = math.inf if variant is None else places.cycle_of_axis(variant, axis)
     signals = [_signals(log, axis, variant) for log in mine + judges]
     units = {(position.unit, unit) for position, _, unit in signals}
     if len(units) != 1:
@@ -177,26 +178,27 @@ def _fit(
             'give --model, or map the force in all of them'
         )
     ((length_unit, force_unit),) = units
-    found = common_skew([(position, drive) for position, drive, _ in signals], cycle)
-    late_s = found.late_s if found is not None and found.significant else 0.0
-    notes = []
-    if late_s:
-        assert found is not None
-        notes.append(
-            f'{signals[0][1].name} stands {found} late against the position; moved by that'
-        )
+    notes, late_s = [], options.late_s
+    if late_s is None:
+        found = common_skew([(position, drive) for position, drive, _ in signals], cycle)
+        late_s = found.late_s if found is not None and found.significant else 0.0
+        if late_s:
+            notes.append(
+                f'{signals[0][1].name} stands {found} late against the position; moved by that '
+                '(--late, if not)'
+            )
     stretches = [_stretches(position, drive, late_s) for position, drive, _ in signals]
     per_order = 1.0 if length_unit == 'rad' else 2.0 * math.pi
     terms = Terms(
         options.by_direction,
         math.nan if options.rise else None,
-        tuple(per_order * order for order in options.orders),
+        tuple(per_order * order for order in _orders(axis, variant, options)),
     )
     own = [one for part in stretches[: len(mine)] for one in part]
     if not own:
         raise UserError(f'no {LEAST_SAMPLES} samples of position and drive without a gap')
     coefficients, terms, cut_off_hz = estimate(own, terms, options.cut_off_hz, options.dead_zone)
-    share = noise_share(own, cut_off_hz)
+    share = attenuation(own, cut_off_hz, terms, options.dead_zone)
     if share > 2.0 * NOISE_SHARE:
         notes.append(
             f'{100.0 * share:.0f} % of the variance of the acceleration is noise of the position: the '
@@ -226,6 +228,12 @@ def _fit(
         late_s,
         tuple(notes),
     )  # fmt: skip
+
+
+def _orders(axis: str, variant: Variant | None, options: Options) -> tuple[float, ...]:
+    """Return the sines of an axis: those asked for, and that of gravity where it swings the axis."""
+    of_gravity = () if variant is None or not places.swings(variant, axis) else (1.0,)
+    return tuple(dict.fromkeys((*options.orders, *of_gravity)))
 
 
 def _spectrum(

@@ -4,9 +4,10 @@ Times of the channels of a log against one another: a skew between drive and pos
 
 **Skew.** Whatever an axis is, its motion follows
 
-    M q'' = k u - b q' - c sign(q') - g_1 sin q - g_2 cos q - g_0 - cogging(q),
+    M q'' = k u - b q' - c sign(q') - g_1 sin q - g_2 cos q - g_0 - cogging(q) - drag(q, q'),
 
-with position q and drive u, and that must hold at the same instant. (Cogging: sines and cosines once,
+with position q and drive u, and that must hold at the same instant. (Drag is d_1 q' |q'| + (d_2 q +
+d_3 q^2) q': what bends with speed or changes along the way. Cogging: sines and cosines once,
 twice, three and six times per electrical cycle of the motor, where that is known.) If the drive stands
 in the log later than the position by T, it holds for u(t + T), and T can be found without knowing M, k,
 b, c or g. Noisy positions need not be differentiated for that: multiplied by a function p that vanishes
@@ -254,6 +255,10 @@ def _of_position(
     smooth = np.convolve(speed, np.ones(reach) / reach, mode='same')
     turned = smooth[np.clip(np.arange(len(smooth)) + turns, 0, len(smooth) - 1)]
     terms = [damping, np.sum(window * np.sign(turned)[row], axis=1), window.sum(axis=1)]
+    # Drag that bends with speed, or changes along the way, would else be taken for a time.
+    way = (position.value - np.mean(position.value)) / max(float(np.ptp(position.value)), 1e-300)
+    for drag in (smooth * np.abs(smooth), smooth * way, smooth * way**2):
+        terms.append(np.sum(window * drag[row], axis=1))
     if position.unit == 'rad':
         terms += [np.sum(window * np.sin(value), axis=1), np.sum(window * np.cos(value), axis=1)]
     for order in COGGING:

@@ -398,9 +398,7 @@ def aligned_records(
             assert drive is not None
             pairs.setdefault((axis, drive.kind), []).append((log[axis, 'position'], drive))
     alignments = {
-        (axis, kind): _alignment(
-            those, places.electrical_cycle(variant, axis) / places.motor_ratio(variant, axis)
-        )
+        (axis, kind): _alignment(those, places.cycle_of_axis(variant, axis))
         for (axis, kind), those in pairs.items()
     }
     records = [
