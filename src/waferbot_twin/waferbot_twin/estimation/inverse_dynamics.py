@@ -27,9 +27,9 @@ as white, its level from the upper half of its spectrum or from its resolution (
 is larger; f_c is at most the frequency at which that share is `NOISE_SHARE`, half a percent. And (1) is
 a rigid axis: near the first resonance it no longer is, and a position that is read late is late there
 most. So halves, quarters, ... of that frequency are tried, down to the band of the motion and of the
-sines that are asked for, as long as a tenth of that variance passes. Of those whose inertia agrees,
-within 95 % intervals, with that of every lower one (Lepski's rule: bias shows as a drift), f_c is the
-highest with an interval no more than a quarter wider than the narrowest.
+sines that are asked for, as long as more of the acceleration tells the inertia than may be noise. Of
+those whose inertia agrees, within 95 % intervals, with that of every lower one (Lepski's rule: bias
+shows as a drift), f_c is the highest with an interval no more than a quarter wider than the narrowest.
 
 **Dead zone.** At rest dry friction is any force up to c, so samples there say nothing and are left out:
 those with a speed below four standard deviations of its noise, or below what is asked for.
@@ -99,11 +99,8 @@ FEWEST_TRANSFORMS = 4
 COLLINEAR = 1e-7
 """Singular value, over the largest, below which a combination of coefficients is not determined."""
 
-FEWEST_PERIODS, OF_MOTION, PASSES = 5.0, 0.99, 0.1
-"""
-Of the lowest cut-off: its periods in the longest stretch; the share of the speed's variance below it,
-and that of what tells the inertia.
-"""
+FEWEST_PERIODS, OF_MOTION = 5.0, 0.99
+"""Of the lowest cut-off: its periods in the longest stretch; share of the speed's variance below it."""
 
 AS_NARROW = 1.25
 """Interval of the inertia over the narrowest of all cut-offs, up to which a higher cut-off is taken."""
@@ -265,12 +262,13 @@ def noise_share(stretches: Sequence[Stretch], cut_off_hz: float) -> float:
 
 def told_of_inertia(
     stretches: Sequence[Stretch], cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
-) -> tuple[float, float]:
+) -> float:
     """
-    Return the share of the acceleration behind the filter that tells the inertia, and its mean square.
+    Return the share of the acceleration's variance behind the filter that tells the inertia.
 
     That is what no other regressor explains: a slow swing under gravity accelerates nearly as the sine
-    of its angle, and tells next to nothing of the inertia. Raises `UserError` if nothing moves.
+    of its angle, and tells next to nothing of the inertia. One over it is the variance inflation factor.
+    Raises `UserError` if nothing moves.
     """
     parts = filter_all(stretches, cut_off_hz, replace(terms, rise_speed=None), dead_zone)
     columns, _ = joined(parts)
@@ -278,15 +276,15 @@ def told_of_inertia(
     others = np.column_stack(list(columns.values()))
     others /= np.maximum(np.linalg.norm(others, axis=0), np.finfo(float).tiny)
     left = acceleration - others @ np.linalg.lstsq(others, acceleration, rcond=COLLINEAR)[0]
-    square, all_of = float(np.mean(left**2)), float(np.mean(acceleration**2))
-    return (square / all_of if all_of > 0.0 else 0.0), square
+    all_of = float(acceleration @ acceleration)
+    return float(left @ left) / all_of if all_of > 0.0 else 0.0
 
 
 def attenuation(
     stretches: Sequence[Stretch], cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
 ) -> float:
     """Return the share of noise in what tells the inertia below a frequency, 0 to 1."""
-    share, _ = told_of_inertia(stretches, cut_off_hz, terms, dead_zone)
+    share = told_of_inertia(stretches, cut_off_hz, terms, dead_zone)
     return min(noise_share(stretches, cut_off_hz) / share, 1.0) if share > 0.0 else 1.0
 
 
@@ -362,8 +360,8 @@ def filtered(
     if terms.rise_speed is not None:
         columns['rise'] = low_pass(sign * np.exp(-np.abs(speed) / terms.rise_speed))
     for place, number in enumerate(terms.wave_numbers, start=1):
-        columns[f'cosine_{place}'] = low_pass(np.cos(number * position))
-        columns[f'sine_{place}'] = low_pass(np.sin(number * position))
+        columns[f'cosine_{place}'] = low_pass(np.cos(number * stretch.position))
+        columns[f'sine_{place}'] = low_pass(np.sin(number * stretch.position))
     # Beside a long rest the filter carries over what holds the axis there; a reversal is no rest.
     resting = binary_opening(rest, np.ones(settling))
     moving = ~rest & ~binary_dilation(resting, np.ones(2 * settling + 1))
@@ -478,11 +476,9 @@ def estimate(
         0.5 * highest >= lowest and attenuation(stretches, highest, terms, dead_zone) > NOISE_SHARE
     ):
         highest *= 0.5
-    _, square = told_of_inertia(stretches, highest, terms, dead_zone)
     tried = [highest]
     while 0.5 * tried[-1] >= lowest:
-        _, passed = told_of_inertia(stretches, 0.5 * tried[-1], terms, dead_zone)
-        if passed < PASSES * square:
+        if told_of_inertia(stretches, 0.5 * tried[-1], terms, dead_zone) < NOISE_SHARE:
             break
         tried.append(0.5 * tried[-1])
     fits = [_estimate_at(stretches, terms, hz, dead_zone) for hz in tried]
