@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import math
 
 import numpy as np
 import pytest
@@ -255,6 +256,17 @@ def test_window(tmp_path) -> None:
     assert (position.time_s[0], position.time_s[-1], len(position.time_s)) == (0.01, 0.03, 21)
     with pytest.raises(UserError, match=r'the signal goes from 0 to 0\.049 s'):
         load(tmp_path, written(motion()), MAPPING + 'options: {start_s: 7.0}\n')
+
+
+def test_other_ends_than_those_of_the_mapping(tmp_path) -> None:
+    path = tmp_path / 'log.csv'
+    path.write_text(written(motion()), 'utf-8')
+    mapping = mapping_text(MAPPING + 'options: {start_s: 0.01, end_s: 0.03}\n')
+    position = load_log(path, mapping, span_s=(None, 0.04))['x_rotate', 'position']
+    assert (position.time_s[0], position.time_s[-1]) == (0.01, 0.04)
+    for span_s, said in (((0.05, None), 'later than --start'), ((math.nan, None), 'be a time')):
+        with pytest.raises(UserError, match=said):
+            load_log(path, mapping, span_s=span_s)
 
 
 def test_calendar_times_start_at_zero(tmp_path) -> None:

@@ -44,6 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--part', type=int, metavar='N', help='number for $part in the columns of the mapping'
     )
+    for end in ('start', 'end'):
+        parser.add_argument(
+            f'--{end}', type=float, metavar='S',
+            help=f"{end} of what is taken, in the log's own time, s (default: by the mapping)",
+        )  # fmt: skip
     parser.add_argument('--name', help='name of the log (default: by mapping or file)')
     parser.add_argument('--force', action='store_true', help='replace a recording at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
@@ -63,6 +68,7 @@ def execute(options: argparse.Namespace) -> int:
         options.part,
         options.name,
         options.force,
+        (options.start, options.end),
     )
     spoken = evidence(log)
     if options.json:

@@ -21,6 +21,8 @@ p = 64 (x (1 - x))^3 over a window of 16 to 256 samples, that which gives T best
 lacks draws T in windows of one length otherwise than in those of another: so windows half or twice as
 long must show T, too, and by how much theirs differ is an error of it.
 
+At rest dry friction is any force up to c, so windows with much of it say nothing.
+
 Limits: an axis whose drive hardly changes shows no skew; a controller that answers to noise of the
 position within its own delay draws T towards that delay, less in long windows; what the equation lacks
 (a resonance, play) shifts T as its own delay would.
@@ -57,6 +59,9 @@ SAMPLES = (16, 32, 64, 128, 256)
 MOST_WINDOWS = 1000
 LEAST_WINDOWS = 24
 BLOCKS = 12
+
+STEPS_AT_REST, RESTS = 2.0, 0.25
+"""Steps that an axis at rest moves in a quarter of a window; share of a window that it may rest."""
 
 LONGEST_STEPS = 6.0
 """Skew that is looked for on either side, in steps of the slower signal."""
@@ -107,8 +112,12 @@ def skew(position: Signal, drive: Signal, cycle: float = math.inf) -> Skew | Non
         if count < LEAST_WINDOWS:
             break
         starts = np.linspace(begin_s, end_s - length_s, count)
-        clear = _without_gaps(position, starts, length_s) & _without_gaps(
-            drive, starts - LONGEST_STEPS * step_s, length_s + 2.0 * LONGEST_STEPS * step_s
+        clear = (
+            _moving(position, starts, length_s)
+            & _without_gaps(position, starts, length_s)
+            & _without_gaps(
+                drive, starts - LONGEST_STEPS * step_s, length_s + 2.0 * LONGEST_STEPS * step_s
+            )
         )
         if clear.sum() >= LEAST_WINDOWS:
             found.append(
@@ -250,9 +259,7 @@ def _of_position(
     right = np.sum(from_mean * WINDOWS.deriv(2)(place), axis=1) / length_s**2
     damping = np.sum(from_mean * WINDOWS.deriv(1)(place), axis=1) / length_s
     window = weight * WINDOWS(place)
-    speed = np.gradient(position.value, position.time_s)
-    reach = max(1, int(row.shape[1] / 4))
-    smooth = np.convolve(speed, np.ones(reach) / reach, mode='same')
+    smooth = _speed(position, row.shape[1])
     turned = smooth[np.clip(np.arange(len(smooth)) + turns, 0, len(smooth) - 1)]
     terms = [damping, np.sum(window * np.sign(turned)[row], axis=1), window.sum(axis=1)]
     # Drag that bends with speed, or changes along the way, would else be taken for a time.
@@ -266,6 +273,20 @@ def _of_position(
             angle = 2.0 * np.pi * order / cycle * value
             terms += [np.sum(window * wave(angle), axis=1) for wave in (np.sin, np.cos)]
     return right, np.column_stack(terms)
+
+
+def _speed(position: Signal, samples: int) -> Array:
+    """Return the speed (n,) as means over a quarter of a window of so many samples."""
+    reach = max(1, int(samples / 4))
+    speed = np.gradient(position.value, position.time_s)
+    return np.asarray(np.convolve(speed, np.ones(reach) / reach, mode='same'))
+
+
+def _moving(position: Signal, starts: Array, length_s: float) -> NDArray[np.bool_]:
+    """Return which windows are not at rest for more than `RESTS` of their time."""
+    row, _, _ = _samples(position.time_s, starts, length_s)
+    way = 0.25 * length_s * np.abs(_speed(position, row.shape[1]))
+    return np.asarray(np.mean(way[row] <= STEPS_AT_REST * position.resolution, axis=1) <= RESTS)
 
 
 def _of_drive(drive: Signal, starts: Array, length_s: float) -> Array:

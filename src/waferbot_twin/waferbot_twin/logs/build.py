@@ -129,7 +129,7 @@ def finish(
     )
     if not result.usable_axes():
         there = ', '.join(signal.name for signal in result.signals) or 'nothing'
-        reasons = ''.join(f'\n  {finding}' for finding in result.findings)
+        reasons = ''.join(f'; {finding}' for finding in result.findings)
         raise UserError(
             f'{log.source}: not enough to work with: needs, of one axis, time, position and one of '
             f'{", ".join(DRIVES)}; usable is {there}{reasons}'

@@ -40,6 +40,7 @@ def load_log(
     machine: str | None = None,
     part: int | None = None,
     name: str | None = None,
+    span_s: tuple[float | None, float | None] = (None, None),
 ) -> MeasuredLog:
     """
     Return the measured log at `path`.
@@ -48,7 +49,7 @@ def load_log(
     with the contract's topics or joint states do not. `model` gives the settings behind the
     contract's topics: by name or file also where the recording holds others, a `Model` only where it
     holds none. `machine` gives the description behind counts and names of joints. `part` replaces that
-    of the mapping, `name` the log's own.
+    of the mapping, `span_s` its ends in the log's own time, `name` the log's own.
 
     Raises `UserError` if nothing usable is left; see `build.finish`.
     """
@@ -59,7 +60,9 @@ def load_log(
     if mapping is not None and not isinstance(mapping, LogMapping):
         mapping = load_mapping(mapping, constants)
     if mapping is not None:
-        mapping = mapping.of_part(part)
+        mapping = mapping.of_part(part).of_span(*span_s)
+    elif span_s != (None, None):
+        raise UserError(f'{path}: --start and --end belong to a mapping (--map)')
     if is_bag(path) and not (mapping and mapping.format not in ('', 'bag')):
         return _from_bag(path, mapping, model, machine, name)
     if mapping is None:
@@ -84,6 +87,7 @@ def import_log(
     part: int | None = None,
     name: str | None = None,
     force: bool = False,
+    span_s: tuple[float | None, float | None] = (None, None),
 ) -> MeasuredLog:
     """
     Read a log as `load_log` does, keep it in the folder `out`, and return it.
@@ -94,7 +98,7 @@ def import_log(
     written, source = out.resolve(), path.resolve()
     if written == source or written in source.parents:
         raise UserError(f'{out} would replace the log itself; choose another folder')
-    log = load_log(path, mapping, model, machine, part, name)
+    log = load_log(path, mapping, model, machine, part, name, span_s)
     write_archive(log, out, force)
     return log
 

@@ -9,6 +9,7 @@ and key.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping as Items
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,6 +114,23 @@ class LogMapping:
         if self.part is None:
             raise UserError(f'{self.source}: has no key part, so --part says nothing')
         return replace(self, part=part)
+
+    def of_span(self, start_s: float | None, end_s: float | None) -> LogMapping:
+        """Return the mapping with other ends, in the log's own time; raises `UserError`."""
+        given = {
+            key: value
+            for key, value in (('start_s', start_s), ('end_s', end_s))
+            if value is not None
+        }
+        for key, value in given.items():
+            if not math.isfinite(value):
+                raise UserError(f'--{key.removesuffix("_s")} is {value:g} s; it must be a time')
+        options = {**self.options, **given}
+        if options.get('end_s', math.inf) <= options.get('start_s', -math.inf):
+            raise UserError(
+                f'--end {options["end_s"]:g} must be later than --start {options["start_s"]:g}'
+            )
+        return replace(self, options=options) if given else self
 
     def choosing_columns(self) -> list[Column]:
         """Return the columns that say of which signal a row is."""
