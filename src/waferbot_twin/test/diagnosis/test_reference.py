@@ -69,6 +69,25 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
     assert all(row['axis'] == 'Pendulum' for row in rows.values())
 
 
+def test_where_another_axis_moves_least_squares_say_that_it_is_left_over():
+    arm = Variant.of(load_model_or_machine('planar_two_link_arm'))
+    both = [
+        replace(signal, axis=axis)
+        for axis in ('x_rotate', 'y_rotate')
+        for signal in log('one', 0.2).signals
+    ]
+    stands = [
+        replace(signal, value=np.zeros_like(signal.value))
+        if (signal.axis, signal.kind) == ('y_rotate', 'position')
+        else signal
+        for signal in both
+    ]
+    fits = identify_by_least_squares([MeasuredLog('both', tuple(both))], [], arm).fits
+    assert all(any('moves as well' in note for note in fit.notes) for fit in fits)
+    alone = identify_by_least_squares([MeasuredLog('one', tuple(stands))], [], arm).fits
+    assert not any('moves as well' in note for note in alone[0].notes)
+
+
 def test_the_report_calls_the_axis_as_the_machine_does(pendulum):
     logs, judges = [log('one', 0.2)], [log('two', 1.0)]
     # The model says that gravity swings its axis: a sine and a cosine more.

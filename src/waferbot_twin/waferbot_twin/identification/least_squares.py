@@ -45,6 +45,7 @@ from waferbot_twin.logs.kinds import axes_in_order
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
+from waferbot_twin.noise_model.motion_basis import MOVES
 from waferbot_twin.residuals.from_measured_log import amperes_per_unit, drive_of
 
 IN_WORDS = {'viscous': 'viscous friction', 'coulomb': 'Coulomb friction', 'inertia': 'inertia'}
@@ -148,6 +149,10 @@ def identify_by_least_squares(
             complaints.append(f'{axis}: {error}')
     if not fits:
         raise UserError('; '.join(complaints) or 'the logs have no axis with position and drive')
+    if variant is not None:
+        fits = [
+            replace(fit, notes=(*fit.notes, *_beside(fit.axis, logs, variant))) for fit in fits
+        ]
     if complaints:
         fits[0] = replace(fits[0], notes=(*fits[0].notes, *complaints))
     return LeastSquares(
@@ -228,6 +233,25 @@ def _fit(
         late_s,
         tuple(notes),
     )  # fmt: skip
+
+
+def _beside(axis: str, logs: Sequence[MeasuredLog], variant: Variant) -> list[str]:
+    """Return that other axes move as well, if the mechanism couples them with an axis."""
+    carried = places.carried_axes(variant)
+    others = [
+        other
+        for other in variant.layout.axes
+        if other != axis and (axis in carried or other in carried)
+        if any(
+            (signal := log.get(other, 'position')) is not None
+            and float(np.ptp(signal.value)) > MOVES * signal.resolution
+            for log in logs
+        )
+    ]
+    if not others:
+        return []
+    titles = ', '.join(variant.titles[other] for other in others)
+    return [f'{titles} moves as well: what that does here is left over, as each axis is by itself']
 
 
 def _orders(axis: str, variant: Variant | None, options: Options) -> tuple[float, ...]:
