@@ -23,6 +23,7 @@ from waferbot_twin.identification.least_squares import (
     AxisFit,
     LeastSquares,
     LogError,
+    coupled,
     identify_by_least_squares,
 )
 from waferbot_twin.identification.least_squares_report import as_dict, label_of, remarks, unit_of
@@ -51,7 +52,11 @@ def reference_of(
     ]
     if not found:
         return None
-    fits = tuple(fit for one in found for fit in one.fits)
+    fits = tuple(
+        replace(fit, notes=(*fit.notes, *coupled(fit.axis, logs, nominal)))
+        for one in found
+        for fit in one.fits
+    )
     if extended is not None:
         every = {log.name: log for log in (*logs, *validation)}
         fits = tuple(_beside_models(fit, every, (nominal, extended)) for fit in fits)

@@ -151,7 +151,7 @@ def identify_by_least_squares(
         raise UserError('; '.join(complaints) or 'the logs have no axis with position and drive')
     if variant is not None:
         fits = [
-            replace(fit, notes=(*fit.notes, *_beside(fit.axis, logs, variant))) for fit in fits
+            replace(fit, notes=(*fit.notes, *coupled(fit.axis, logs, variant))) for fit in fits
         ]
     if complaints:
         fits[0] = replace(fits[0], notes=(*fits[0].notes, *complaints))
@@ -235,7 +235,7 @@ def _fit(
     )  # fmt: skip
 
 
-def _beside(axis: str, logs: Sequence[MeasuredLog], variant: Variant) -> list[str]:
+def coupled(axis: str, logs: Sequence[MeasuredLog], variant: Variant) -> list[str]:
     """Return that other axes move as well, if the mechanism couples them with an axis."""
     carried = places.carried_axes(variant)
     others = [
