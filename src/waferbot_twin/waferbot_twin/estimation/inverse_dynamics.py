@@ -27,9 +27,10 @@ as white, its level from the upper half of its spectrum or from its resolution (
 is larger; f_c is at most the frequency at which that share is `NOISE_SHARE`, half a percent. And (1) is
 a rigid axis: near the first resonance it no longer is, and a position that is read late is late there
 most. So halves, quarters, ... of that frequency are tried, down to the band of the motion and of the
-sines that are asked for, as long as more of the acceleration tells the inertia than may be noise. Of
-those whose inertia agrees, within 95 % intervals, with that of every lower one (Lepski's rule: bias
-shows as a drift), f_c is the highest with an interval no more than a quarter wider than the narrowest.
+sines that are asked for, as long as two periods are left for each coefficient, and more of the
+acceleration tells the inertia than may be noise. Of those whose inertia agrees, within 95 % intervals,
+with that of every lower one (Lepski's rule: bias shows as a drift), f_c is the highest with an interval
+no more than a quarter wider than the narrowest.
 
 **Dead zone.** At rest dry friction is any force up to c, so samples there say nothing and are left out:
 those with a speed below four standard deviations of its noise, or below what is asked for.
@@ -99,8 +100,11 @@ FEWEST_TRANSFORMS = 4
 COLLINEAR = 1e-7
 """Singular value, over the largest, below which a combination of coefficients is not determined."""
 
-FEWEST_PERIODS, OF_MOTION = 5.0, 0.99
-"""Of the lowest cut-off: its periods in the longest stretch; share of the speed's variance below it."""
+FEWEST_PERIODS, FOR_EACH, OF_MOTION = 5.0, 2.0, 0.99
+"""
+Of the lowest cut-off: its periods in the longest stretch, at least, and for each coefficient; share of
+the speed's variance below it.
+"""
 
 AS_NARROW = 1.25
 """Interval of the inertia over the narrowest of all cut-offs, up to which a higher cut-off is taken."""
@@ -235,9 +239,9 @@ def band_of_sines(stretches: Sequence[Stretch], highest_hz: float, terms: Terms)
     return max(terms.wave_numbers, default=0.0) / (2.0 * math.pi) * speed
 
 
-def fewest_periods(stretches: Sequence[Stretch]) -> float:
-    """Return the frequency that has `FEWEST_PERIODS` in the longest stretch, Hz."""
-    return FEWEST_PERIODS / max(len(one.position) * one.step_s for one in stretches)
+def fewest_periods(stretches: Sequence[Stretch], periods: float = FEWEST_PERIODS) -> float:
+    """Return the frequency that has so many periods in the longest stretch, Hz."""
+    return periods / max(len(one.position) * one.step_s for one in stretches)
 
 
 def noise_share(stretches: Sequence[Stretch], cut_off_hz: float) -> float:
@@ -467,9 +471,10 @@ def estimate(
     if cut_off_hz is not None:
         return *_estimate_at(stretches, terms, cut_off_hz, dead_zone), cut_off_hz
     highest = cut_off(stretches)
+    count = len(filter_all(stretches, highest, terms, dead_zone)[0].columns)
     lowest = max(
         motion_band(stretches, highest),
-        fewest_periods(stretches),
+        fewest_periods(stretches, FOR_EACH * count),
         band_of_sines(stretches, highest, terms),
     )
     while (
