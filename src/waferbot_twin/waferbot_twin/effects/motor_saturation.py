@@ -38,7 +38,7 @@ EFFECT = Effect(
     'motor_saturation',
     Block.MOTOR,
     'iron saturates: less force per ampere at high current',
-    places.wound_axes,
+    places.current_axes,
     _parameters,
     _overlay,
     equation='F = k I / sqrt(1 + curvature I^2)',

@@ -42,11 +42,12 @@ def wound_axes(variant: Variant) -> tuple[str, ...]:
     Not those known by their force per ampere alone, nor those of which a log has a force instead.
     """
     known = variant.base.description.motors
-    return tuple(
-        axis
-        for axis in motor_axes(variant)
-        if not known[axis].by_force and axis not in variant.base.force_driven
-    )
+    return tuple(axis for axis in current_axes(variant) if not known[axis].by_force)
+
+
+def current_axes(variant: Variant) -> tuple[str, ...]:
+    """Return the axes with a motor of which no log has a force in place of a current."""
+    return tuple(axis for axis in motor_axes(variant) if axis not in variant.base.force_driven)
 
 
 def drive_lags(variant: Variant) -> NDArray[np.float64]:
