@@ -206,8 +206,8 @@ def _fit(
     share = attenuation(own, cut_off_hz, terms, options.dead_zone)
     if share > 2.0 * NOISE_SHARE:
         notes.append(
-            f'{100.0 * share:.0f} % of the variance of the acceleration is noise of the position: the '
-            'inertia is too small by about as much; give logs that accelerate more'
+            f'{100.0 * share:.0f} % of what the acceleration tells of the inertia is noise of the '
+            'position: it is too small by about as much; give logs that accelerate more'
         )
     errors, parts = [], []
     for log, part in zip(mine + judges, stretches, strict=True):
