@@ -95,6 +95,50 @@ def test_no_skew_is_not_significant(random) -> None:
     assert not any(one is None or one.significant for one in found)
 
 
+def test_drag_that_changes_along_the_way_is_no_time(random) -> None:
+    """A slow swing under gravity, as a joint of a robot makes it: a time would do nearly the same."""
+    shown = []
+    for _ in range(10):
+        motion = Motion(random)
+        motion.wave = 2.0 * np.pi * np.array([0.1, 0.1, 0.3, 0.3, 1.0, 1.0, 2.0, 2.0])
+        motion.size = np.array([1.2, 0.3, 0.05, 0.05, 0.05, 0.05, 0.01, 0.01])
+        time_s = np.arange(0.0, 30.0, 0.01)
+        way, speed = motion.derivative(0, time_s), motion.derivative(1, time_s)
+        uneven = 2.0 * B * (0.8 * way + 0.5 * way**2) * speed - B * speed * np.abs(speed)
+        position = 1e-4 * np.round(way / 1e-4)
+        found = skew(
+            Signal('position', 'x_rotate', 'rad', time_s, position),
+            Signal('force', 'x_rotate', 'Nm', time_s, motion.torque(time_s) + uneven),
+        )
+        shown += [found] if found is not None else []
+    assert len(shown) >= 8
+    assert not any(one.significant for one in shown)
+
+
+def test_a_rest_tells_no_time(random) -> None:
+    """There dry friction is whatever holds the axis: here it stays what moved it."""
+    time_s, late_s = np.arange(0.0, 12.0, 1e-3), []
+    for _ in range(10):
+        way, torque = np.zeros_like(time_s), np.zeros_like(time_s)
+        for begin in np.arange(0.5, 11.0, 1.0):
+            size, length = random.uniform(0.1, 0.5), random.uniform(0.1, 0.2)
+            size *= random.choice([-1.0, 1.0])
+            x = np.clip((time_s - begin) / length, 0.0, 1.0)
+            way += size * x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+            speed = size / length * 30.0 * x**2 * (1.0 - x) ** 2
+            bend = size / length**2 * 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
+            torque += J * bend + B * speed + C * np.sign(speed)
+            rests = (time_s >= begin + length) & (time_s < begin + 1.0)
+            torque += np.where(rests, C * np.sign(size), 0.0)
+        found = skew(
+            Signal('position', 'x_rotate', 'm', time_s, 1e-4 * np.round(way / 1e-4)),
+            Signal('force', 'x_rotate', 'N', time_s, torque),
+        )
+        late_s += [found.late_s] if found is not None else []
+    assert len(late_s) >= 8
+    assert np.median(np.abs(late_s)) < 0.06e-3
+
+
 @pytest.mark.parametrize('late_steps', [0.0, 1.5])
 def test_a_motor_that_cogs_seems_not_late(random, late_steps) -> None:
     """Strong cogging on a slide, six periods of it: as large a force as all acceleration."""
