@@ -24,6 +24,7 @@ from waferbot_twin.estimation.inverse_dynamics import (
     noise_share,
     position_noise,
     relative_error,
+    told_of_inertia,
 )
 
 MASS, VISCOUS, COULOMB, OFFSET = 95.0, 200.0, 20.0, -3.0
@@ -223,6 +224,30 @@ def test_a_resonance_lowers_the_cut_off(random) -> None:
     assert values(found)['inertia'] == pytest.approx(MASS, rel=0.05)
     wide, _, _ = estimate([Stretch(STEP_S, position, force)], None, 100.0)
     assert values(wide)['inertia'] < 0.94 * MASS
+
+
+def swing(random):
+    """Return 64 s at 100 Hz of a joint that swings under gravity at 0.1 Hz, after a start at once."""
+    step_s, wave = 0.01, 2.0 * np.pi * 0.1
+    time_s = np.arange(0.0, 64.0, step_s)
+    start = np.clip(time_s / 0.5, 0.0, 1.0)
+    position = 1.5 * np.sin(wave * time_s) + 0.2 * start**4 * (35 - 84 * start + 70 * start**2)
+    position -= 0.2 * start**4 * 20 * start**3
+    speed, acceleration = derivatives(position, step_s)
+    force = 3.2 * acceleration + 8.7 * speed + 5.3 * np.sign(speed) - 37.5 * np.sin(position)
+    force += 0.8 * random.standard_normal(len(force))
+    return Stretch(step_s, 1e-4 * np.round(position / 1e-4), force, 1e-4)
+
+
+def test_where_next_to_nothing_tells_the_inertia_no_cut_off_has_a_say(random) -> None:
+    """A swing under gravity accelerates nearly as the sine of its angle; the start tells."""
+    one, terms = swing(random), Terms(wave_numbers=(1.0,))
+    assert told_of_inertia([one], 0.2, terms) < 0.01 < told_of_inertia([one], 5.0, terms)
+    found, _, hz = estimate([one], terms)
+    place = found.names.index('inertia')
+    assert hz > 0.5
+    assert found.value[place] == pytest.approx(3.2, rel=0.15)
+    assert found.high95[place] - found.low95[place] < 2.0
 
 
 def test_differences_are_of_fourth_order() -> None:
