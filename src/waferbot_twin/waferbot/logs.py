@@ -133,13 +133,15 @@ def import_log(
     part: int | None = None,
     name: str | None = None,
     force: bool = False,
+    span_s: tuple[float | None, float | None] = (None, None),
 ) -> Imported:
     """
     Bring in a measured log, as `waferbot import` does, and keep it in the new folder `out`.
 
     `file` is a text file (CSV, a drive's trace), an array, Parquet, JSON or a recording; `mapping` says
     which column is which signal (docs/log_mapping.md), `machine` is the description behind counts and
-    names of joints, `part` stands for `$part` in the columns of the mapping. Raises `UserError` if
+    names of joints, `part` stands for `$part` in the columns of the mapping, `span_s` is where in the
+    log's own time it begins and ends. Raises `UserError` if
     nothing usable is in it, or the folder exists and `force` is not given.
     """
     details = import_measured(
@@ -150,6 +152,7 @@ def import_log(
         part=part,
         name=name,
         force=force,
+        span_s=span_s,
     )
     return Imported(Log(Path(out)), details)
 

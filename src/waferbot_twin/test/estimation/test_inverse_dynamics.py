@@ -24,7 +24,6 @@ from waferbot_twin.estimation.inverse_dynamics import (
     noise_share,
     position_noise,
     relative_error,
-    told_of_inertia,
 )
 
 MASS, VISCOUS, COULOMB, OFFSET = 95.0, 200.0, 20.0, -3.0
@@ -242,7 +241,8 @@ def swing(random):
 def test_where_next_to_nothing_tells_the_inertia_no_cut_off_has_a_say(random) -> None:
     """A swing under gravity accelerates nearly as the sine of its angle; the start tells."""
     one, terms = swing(random), Terms(wave_numbers=(1.0,))
-    assert told_of_inertia([one], 0.2, terms) < 0.01 < told_of_inertia([one], 5.0, terms)
+    told = [estimate([one], terms, hz)[0].told[0] for hz in (0.2, 5.0)]
+    assert told[0] < 0.01 < told[1]
     found, _, hz = estimate([one], terms)
     place = found.names.index('inertia')
     assert hz > 0.5

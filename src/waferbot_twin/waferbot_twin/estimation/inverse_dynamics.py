@@ -167,7 +167,9 @@ class Estimate:
     Coefficients by least squares: `value`, `standard_error`, `low95`, `high95` (k,) by `names`.
 
     A coefficient that is not `determined` (its column is a combination of others) has no interval:
-    NaN. `degrees` is that of Student's t.
+    NaN. `degrees` is that of Student's t. `told` (k,) is the share of each regressor's square that the
+    others do not explain, one over its variance inflation factor: a slow swing under gravity
+    accelerates nearly as the sine of its angle, and tells next to nothing of the inertia.
     """
 
     names: tuple[str, ...]
@@ -177,6 +179,7 @@ class Estimate:
     high95: Array
     determined: NDArray[np.bool_]
     degrees: int
+    told: Array
 
     def of(self, columns: Mapping[str, Array]) -> Array:
         """Return the force (N,) that the coefficients make of these regressors."""
@@ -264,32 +267,10 @@ def noise_share(stretches: Sequence[Stretch], cut_off_hz: float) -> float:
     return min(noise / all_of, 1.0) if all_of > 0.0 else 1.0
 
 
-def told_of_inertia(
-    stretches: Sequence[Stretch], cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
-) -> float:
-    """
-    Return the share of the acceleration's variance behind the filter that tells the inertia.
-
-    That is what no other regressor explains: a slow swing under gravity accelerates nearly as the sine
-    of its angle, and tells next to nothing of the inertia. One over it is the variance inflation factor.
-    Raises `UserError` if nothing moves.
-    """
-    parts = filter_all(stretches, cut_off_hz, replace(terms, rise_speed=None), dead_zone)
-    columns, _ = joined(parts)
-    acceleration = columns.pop('inertia')
-    others = np.column_stack(list(columns.values()))
-    others /= np.maximum(np.linalg.norm(others, axis=0), np.finfo(float).tiny)
-    left = acceleration - others @ np.linalg.lstsq(others, acceleration, rcond=COLLINEAR)[0]
-    all_of = float(acceleration @ acceleration)
-    return float(left @ left) / all_of if all_of > 0.0 else 0.0
-
-
-def attenuation(
-    stretches: Sequence[Stretch], cut_off_hz: float, terms: Terms, dead_zone: float = 0.0
-) -> float:
-    """Return the share of noise in what tells the inertia below a frequency, 0 to 1."""
-    share = told_of_inertia(stretches, cut_off_hz, terms, dead_zone)
-    return min(noise_share(stretches, cut_off_hz) / share, 1.0) if share > 0.0 else 1.0
+def attenuation(stretches: Sequence[Stretch], cut_off_hz: float, found: Estimate) -> float:
+    """Return the share of noise in what tells the inertia of a fit below a frequency, 0 to 1."""
+    told = float(found.told[found.names.index('inertia')])
+    return min(noise_share(stretches, cut_off_hz) / told, 1.0) if told > 0.0 else 1.0
 
 
 def derivatives(position: Array, step_s: float) -> tuple[Array, Array]:
@@ -425,7 +406,10 @@ def least_squares(
     error = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     error = np.where(undetermined, np.nan, error)
     reach = float(student.ppf(0.975, degrees)) * error
-    return Estimate(names, value, error, value - reach, value + reach, ~undetermined, degrees)
+    told = np.where(undetermined, 0.0, 1.0 / np.sum(half**2, axis=1))
+    return Estimate(
+        names, value, error, value - reach, value + reach, ~undetermined, degrees, told
+    )
 
 
 def spectrum_at_zero(scores: Array) -> tuple[Array, int]:
@@ -470,23 +454,22 @@ def estimate(
     terms = terms or Terms()
     if cut_off_hz is not None:
         return *_estimate_at(stretches, terms, cut_off_hz, dead_zone), cut_off_hz
-    highest = cut_off(stretches)
-    count = len(filter_all(stretches, highest, terms, dead_zone)[0].columns)
+    tried = [cut_off(stretches)]
+    fits = [_estimate_at(stretches, terms, tried[0], dead_zone)]
     lowest = max(
-        motion_band(stretches, highest),
-        fewest_periods(stretches, FOR_EACH * count),
-        band_of_sines(stretches, highest, terms),
+        motion_band(stretches, tried[0]),
+        fewest_periods(stretches, FOR_EACH * len(fits[0][0].names)),
+        band_of_sines(stretches, tried[0], terms),
     )
-    while (
-        0.5 * highest >= lowest and attenuation(stretches, highest, terms, dead_zone) > NOISE_SHARE
-    ):
-        highest *= 0.5
-    tried = [highest]
     while 0.5 * tried[-1] >= lowest:
-        if told_of_inertia(stretches, 0.5 * tried[-1], terms, dead_zone) < NOISE_SHARE:
+        lower_hz = 0.5 * tried[-1]
+        lower = _estimate_at(stretches, terms, lower_hz, dead_zone)
+        if len(tried) == 1 and attenuation(stretches, tried[0], fits[0][0]) > NOISE_SHARE:
+            tried, fits = [], []
+        elif lower[0].told[lower[0].names.index('inertia')] < NOISE_SHARE:
             break
-        tried.append(0.5 * tried[-1])
-    fits = [_estimate_at(stretches, terms, hz, dead_zone) for hz in tried]
+        tried.append(lower_hz)
+        fits.append(lower)
     place = _chosen([found for found, _ in fits])
     return *fits[place], tried[place]
 

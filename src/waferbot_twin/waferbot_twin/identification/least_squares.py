@@ -94,7 +94,7 @@ class AxisFit:
     `force_unit` is that of the force, `length_unit` that of the position. `over_speed` and
     `over_position` are what the coefficients leave over; `measured` is, over speed, the force
     without that of inertia, and `line` what they make of it there. `late_s` is how late the drive stood
-    against the position, which is taken out.
+    against the position, which is taken out; `noise_share` how much of what tells the inertia is noise.
     """
 
     axis: str
@@ -203,7 +203,7 @@ def _fit(
     if not own:
         raise UserError(f'no {LEAST_SAMPLES} samples of position and drive without a gap')
     coefficients, terms, cut_off_hz = estimate(own, terms, options.cut_off_hz, options.dead_zone)
-    share = attenuation(own, cut_off_hz, terms, options.dead_zone)
+    share = attenuation(own, cut_off_hz, coefficients)
     if share > 2.0 * NOISE_SHARE:
         notes.append(
             f'{100.0 * share:.0f} % of what the acceleration tells of the inertia is noise of the '
