@@ -259,12 +259,26 @@ class CandidatePool:
             found.setdefault(cause.name, cause.with_values(sizes))
         return tuple(found.values())
 
+    def screen_as_at_first(self, base: Hypothesis) -> list[Screened]:
+        """
+        Return what is not yet among the causes of `base`, each with its linear fit, best first.
+
+        By what each changes beside the causes with which the search began: without a simulation.
+        """
+        rivals = self._not_among(base.causes)
+        return self._promises(base, rivals, self._as_found_at_first, self._beside)
+
+    def _not_among(self, causes: Sequence[Cause]) -> list[Cause]:
+        """Return the candidates that are not among some causes."""
+        taken = {cause.name for cause in causes}
+        return [cause for cause in self._candidates if cause.name not in taken]
+
     def screen(self, base: Hypothesis) -> list[Screened]:
         """Return what is not yet among the causes of `base`, each with its linear fit, best first."""
         problem = self.problem
         taken = {cause.name for cause in base.causes}
-        rivals = [cause for cause in self._candidates if cause.name not in taken]
-        screened = self._promises(base, rivals, self._as_found_at_first, self._beside)
+        rivals = self._not_among(base.causes)
+        screened = self.screen_as_at_first(base)
         changed = self._changed(base.causes)
         stale = {
             rival.name
@@ -505,8 +519,7 @@ class CandidatePool:
         """Return which compliances may make rings that no line shows, best first; slow."""
         key = self._in_plant(base)
         if key not in self._damped:
-            taken = {cause.name for cause in base.causes}
-            rivals = [cause for cause in self._candidates if cause.name not in taken]
+            rivals = self._not_among(base.causes)
             self._damped[key] = screen_damped(self.problem, base, rivals, self.workers)
         return _best_first(self._damped[key])
 

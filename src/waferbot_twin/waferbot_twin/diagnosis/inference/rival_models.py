@@ -98,9 +98,13 @@ def _led_by(effect: SingleEffect, rival: Member) -> SingleEffect:
 
 
 def _may_catch_up(pool: CandidatePool, found: Hypothesis, rival: Member) -> bool:
-    """Return whether the model of a rival may come near with all that the linear problem promises it."""
+    """
+    Return whether the model of a rival may come near with all that the linear problem promises it.
+
+    By what candidates changed at first: they need not be found anew to see that a rival has no hope.
+    """
     promised: dict[str, float] = {}
-    for item in pool.screen(rival.found):
+    for item in pool.screen_as_at_first(rival.found):
         more = item.likelihood + pool.log_prior(item.cause)
         promised[item.cause.name] = max(more, promised.get(item.cause.name, 0.0))
     behind = log_odds_between(pool, rival.found, found)
