@@ -64,6 +64,31 @@ def test_a_sliding_mass_needs_its_inertia_and_its_friction():
     assert axis in description.axes
 
 
+@pytest.mark.parametrize(
+    ('acceleration', 'speed', 'expected'),
+    [
+        (0.0, 0.2, 40.0 / 0.9),  # the motor lifts
+        (0.0, -0.2, 40.0 * 0.8),  # the weight drives it down
+        (-6.0, 0.2, -20.0 * 0.8),  # it brakes what goes up
+        (-6.0, -0.2, -20.0 / 0.9),  # and pushes it down
+    ],
+)
+def test_what_is_lost_on_the_way_to_the_load_is_in_the_force(acceleration, speed, expected):
+    """A weight of 40 N, 10 kg, by a gear with efficiencies of 0.9 and, driven by its load, 0.8."""
+    gear = {
+        'coordinate': 'travel', 'speed_m_s': [0.0], 'force_n': [0.0],
+        'per_motor_force': 0.1, 'per_motor_force_back': 0.25,
+    }  # fmt: skip
+    weight = {'kind': 'constant', 'coordinate': 'travel', 'force_n': -40.0}
+    machine = load_machine(
+        'single_mass',
+        overlays=[{'frictions': {'guide': None, 'gear': gear}, 'disturbances': {'w': weight}}],
+    )
+    motion = [np.array([[one]]) for one in (0.01, speed, acceleration)]
+    (force,) = InverseDynamics(machine.description).forces(*motion).ravel()
+    assert force == pytest.approx(expected, rel=1e-9)
+
+
 def test_the_current_is_what_an_imperfect_motor_needs():
     """With ripple, the current at a position makes the force that was asked for."""
     machine = load_machine(

@@ -12,9 +12,14 @@ and speed, R is sliding friction; where an axis is commanded to stand, friction 
 hold either way. F are the forces (N) or torques (Nm) of the motors, and the current is what the motor
 needs for it where it stands, with ripple and saturation if it has them.
 
+Friction may grow with the motors' own force, mu |F| sign(z'); then F stands on both sides, row by row,
+
+    F - R(F) sign(z') = what is needed without that part,
+
+which rises with F, as a loss is less than all of it, and has one solution (Newton's steps).
+
 Connections that give are taken as rigid: at most what a flexible machine needs below its first mode.
-Disturbances over time, noise and a vibrating floor are left out, and so is friction that depends on the
-motors' own force.
+Disturbances over time, noise and a vibrating floor are left out.
 """
 
 from __future__ import annotations
@@ -40,6 +45,13 @@ _OVER_MOTION = tuple(
         disturbances.CONSTANT, disturbances.PERIODIC, disturbances.POSITION, disturbances.VELOCITY
     )
 )  # fmt: skip
+
+
+MOST_STEPS = 50
+"""Newton's steps for a force at most; where friction is in proportion to it, two or three are taken."""
+
+NEAR = 1e-12
+"""What is missing of a force in the end, as a share of it."""
 
 
 class InverseDynamics:
@@ -126,27 +138,75 @@ class InverseDynamics:
 
 
 @compiled
+def _by_motor_force(p):
+    """Return whether any friction depends on what the motors do."""
+    for friction in range(p['frictions']):
+        if (
+            p['friction_per_motor_force'][friction] != 0.0
+            or p['friction_more_when_driven'][friction] != 0.0
+            or p['friction_loads'][friction] > 1
+        ):
+            return True
+    return False
+
+
+@compiled
+def _friction(s, p, position, velocity, motors, found):
+    """Fill `found` (coordinates,) with sliding friction against motions, where motors make `motors`."""
+    for row in range(len(found)):
+        s['external_force'][row] = motors[row]
+    friction_laws.limit_lawful_friction(s, p, position, velocity, p['step'])
+    for row in range(len(found)):
+        s['external_force'][row] = 0.0
+        found[row] = 0.0
+        if velocity[row] > 0.0:
+            found[row] = s['sliding_friction'][row] + s['sliding_tilt'][row]
+        elif velocity[row] < 0.0:
+            found[row] = s['sliding_tilt'][row] - s['sliding_friction'][row]
+
+
+@compiled
 def _needed(state, parameters, position, velocity, acceleration, needed):
     """Fill `needed` (n, coordinates), the generalised forces of the motors, for motions of z."""
     s = state[0]
     p = parameters[0]
     size = position.shape[1]
     plant.find_imperfections(s, p)
-    result = np.zeros(size)
+    by_motor_force = _by_motor_force(p)
+    result, without = np.zeros(size), np.zeros(size)
+    motors, more = np.zeros(size), np.zeros(size)
+    friction, beside = np.zeros(size), np.zeros(size)
     for sample in range(position.shape[0]):
         for row in range(size):
             s['position'][row] = position[sample, row]
             s['velocity'][row] = velocity[sample, row]
         plant.generalised_forces(state, parameters, result)
-        friction_laws.limit_lawful_friction(s, p, position[sample], velocity[sample], p['step'])
         for row in range(size):
             force = -result[row]
             for column in range(row + 1):
                 force += s['mass_matrix'][row, column] * acceleration[sample, column]
             for column in range(row + 1, size):
                 force += s['mass_matrix'][column, row] * acceleration[sample, column]
-            if velocity[sample, row] > 0.0:
-                force += s['sliding_friction'][row] + s['sliding_tilt'][row]
-            elif velocity[sample, row] < 0.0:
-                force += s['sliding_tilt'][row] - s['sliding_friction'][row]
-            needed[sample, row] = force
+            without[row] = force
+            motors[row] = 0.0
+        if by_motor_force:  # what pushes from outside stands for a motor whose terminals are open
+            for motor in range(len(s['terminals_open'])):
+                s['terminals_open'][motor] = 1
+        _friction(s, p, position[sample], velocity[sample], motors, friction)
+        for _ in range(MOST_STEPS if by_motor_force else 0):
+            missing = 0.0
+            for row in range(size):
+                more[row] = motors[row] + 1e-6 * max(abs(motors[row]), abs(without[row]), 1e-9)
+            _friction(s, p, position[sample], velocity[sample], more, beside)
+            for row in range(size):
+                left = without[row] + friction[row] - motors[row]
+                slope = 1.0 - (beside[row] - friction[row]) / (more[row] - motors[row])
+                motors[row] += left / (slope if slope > 0.0 else 1.0)
+                missing = max(missing, abs(left) / max(abs(motors[row]), 1e-9))
+            _friction(s, p, position[sample], velocity[sample], motors, friction)
+            if missing <= NEAR:
+                break
+        for motor in range(len(s['terminals_open']) if by_motor_force else 0):
+            s['terminals_open'][motor] = 0
+        for row in range(size):
+            needed[sample, row] = without[row] + friction[row]

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,3 +63,13 @@ def test_counts_that_the_servo_did_not_see_are_not_replayed(rigid, log) -> None:
     ]
     closed = [gain.closed_loop for gain in gains(rigid, rigid, problem.records)]
     assert closed == [True]
+
+
+def test_between_gaps_that_lie_close_together_no_gain_can_be_told(rigid, log) -> None:
+    """A position for 20 ms, none for 10 ms: an observer of some Hz settles in none of these."""
+    record = aligned_record(log, rigid)
+    reading = record.reading.copy()
+    rate_hz = record.timing.encoder_hz
+    times_s = np.arange(len(reading)) / rate_hz
+    reading[times_s % 0.03 >= 0.02] = np.nan
+    assert gains(rigid, rigid, [replace(record, reading=reading, controlled=())]) == []

@@ -89,6 +89,8 @@ def _print_table(headings: list[str], rows: list[dict[str, str]]) -> None:
 
 
 def _print_gains(diagnosis: Diagnosis, others: Mapping[str, float] | None, heading: str) -> None:
+    if not diagnosis.gains:
+        return
     print()
     headings = ['validation log, axis', 'RMS nominal', 'RMS extended', 'improvement [%]']
     table = new_table(*headings, *([heading] if others else []))

@@ -234,6 +234,8 @@ def diagnose(
     notes += [said.worse_with(nominal, cause) for cause in extension.withdrawn]
     if extension.loses(settings.tolerated_loss):
         notes.append(said.LOSES)
+    with_gain = {gain.log for gain in extension.gains}
+    notes += [said.no_gain(one.name) for one in validation if one.name not in with_gain]
     gone = [one.name for one in (*refuted, *extension.withdrawn)]
     rivals = rivals_of(pool, posterior.found, models, gone)
     problem, posterior = _in_fine_steps(problem, posterior, workers)

@@ -25,6 +25,14 @@ LOSES = (
 )
 
 
+def no_gain(log: str) -> str:
+    """Say that no stretch of a validation log is long enough to predict its motion."""
+    return (
+        f'{log}: there is no gain to tell; it has times without a position everywhere, and between '
+        'two of them it is too short to predict its motion'
+    )
+
+
 def refuted(nominal: Variant, cause: Cause) -> str:
     """Say that the validation data refute a cause, as the estimation data predict them."""
     return (

@@ -311,7 +311,7 @@ def _validation_words(diagnosis: Diagnosis) -> str:
     """Return what is gained on each axis over all validation data, the largest gain first."""
     of_axes = gain_of_axes(diagnosis.gains)
     if not of_axes:
-        return 'The validation data have no axis whose position is known.'
+        return 'In the validation data no position is known for long enough to predict a motion.'
     how = (
         'closed loop' if diagnosis.gains[0].closed_loop else 'plant, driven by what the drive gave'
     )

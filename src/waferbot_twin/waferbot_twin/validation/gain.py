@@ -102,6 +102,8 @@ def _gains_of(nominal: Variant, extended: Variant, record: Record) -> list[AxisG
             continue
         time_s, measured, before, after = errors[place]
         known = np.isfinite(measured) & (time_s >= record.judged_from_s)
+        if not known.any():  # no stretch without a gap is long enough for its observer
+            continue
         found.append(
             AxisGain(
                 record.name,

@@ -324,6 +324,17 @@ def test_many_causes_do_not_take_one_along_that_is_evident(monkeypatch):
     assert elimination._without_some(pool, found, NAMES) is None
 
 
+def test_a_member_that_comes_in_the_place_of_another_is_no_surer_than_that_was(monkeypatch):
+    """What a fit takes to a bound gives way to the next of its set: a name that was no effect's best."""
+    one, other = (effect_of(Cause(Term(name), 'x', {'value': 1.0})) for name in NAMES[:2])
+    before = with_odds(SingleEffect((one.best, other.best), 0.0), 4.0)
+    after = with_odds(other, 90.0)
+    monkeypatch.setattr(elimination, 'evident', lambda pool, found, effects: ('found', [after]))
+    judged = elimination.as_evident(POOL, Posterior('nothing', 'found', (before,), 7))
+    assert names_of(judged.effects) == ['two:x']
+    assert judged.effects[0].log_odds == pytest.approx(4.0)
+
+
 def test_what_is_judged_once_more_goes_or_is_no_surer_than_before(monkeypatch):
     every = [effect_of(Cause(Term(name), 'x', {'value': 1.0})) for name in NAMES[:3]]
     odds = [(4.0, 90.0), (5.0, None), (9.0, 2.0)]  # before and after; None: it goes

@@ -64,7 +64,7 @@ def searched(monkeypatch):
         screened = SimpleNamespace(likelihood=promised, cause=SimpleNamespace(name='friction'))
         pool = SimpleNamespace(
             settings=SETTINGS,
-            screen=lambda base: [screened],
+            screen_as_at_first=lambda base: [screened],
             log_prior=lambda cause: 0.0,
             note_noise_of=lambda found: None,
             rivals=[],

@@ -160,8 +160,15 @@ def _with_next_member(
 
 
 def as_evident(pool: CandidatePool, posterior: Posterior) -> Posterior:
-    """Return a posterior without what is not evident beside all others in it, none surer than before."""
-    most = {one.best.cause.name: one.log_odds for one in posterior.effects}
+    """
+    Return a posterior without what is not evident beside all others in it, none surer than before.
+
+    Nor a member that comes in the place of one, than that effect was.
+    """
+    most = {
+        member.cause.name: one.log_odds for one in posterior.effects for member in one.members[1:]
+    }
+    most |= {one.best.cause.name: one.log_odds for one in posterior.effects}
     found, effects = evident(pool, posterior.found, posterior.effects)
     judged = (with_odds(one, min(one.log_odds, most[one.best.cause.name])) for one in effects)
     return replace(posterior, found=found, effects=tuple(judged))
