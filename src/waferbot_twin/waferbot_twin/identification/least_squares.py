@@ -189,7 +189,7 @@ def _fit(
         late_s = found.late_s if found is not None and found.significant else 0.0
         if late_s:
             notes.append(
-                f'{signals[0][1].name} stands {found} late against the position; moved by that '
+                f'{signals[0][1].name} stands {found} against the position; moved by that '
                 '(--late, if not)'
             )
     stretches = [_stretches(position, drive, late_s) for position, drive, _ in signals]

@@ -92,8 +92,9 @@ class Skew:
         return abs(self.late_s) > SIGNIFICANT * self.standard_error_s
 
     def __str__(self) -> str:
-        """Return the skew with twice its standard error, in ms."""
-        return f'{1e3 * self.late_s:.2f} ± {2e3 * self.standard_error_s:.2f} ms'
+        """Return the skew with twice its standard error, in ms: 0.50 ± 0.10 ms late."""
+        size = f'{1e3 * abs(self.late_s):.2f} ± {2e3 * self.standard_error_s:.2f} ms'
+        return f'{size} {"late" if self.late_s >= 0.0 else "early"}'
 
 
 def skew(position: Signal, drive: Signal, cycle: float = math.inf) -> Skew | None:

@@ -474,7 +474,7 @@ def _aligned(
             notes.append(f'{pair}: this motion does not show which of them is late')
         if moved and found is not None:
             notes.append(
-                f'{pair}: {found} late, {"moved by that" if found.significant else "not significant"}'
+                f'{pair}: {found}, {"moved by that" if found.significant else "not significant"}'
             )
         if found is not None and found.significant:
             if moved:

@@ -74,7 +74,7 @@ def unexplained(problem: Problem, posterior: Posterior, follows: Follows) -> lis
         for channel in problem.channels(block)
         if (block, channel.name) in follows
     }
-    places = [(place, 'the commanded motion') for place in sorted(axes)]
+    places = [(place, _motion_of(problem, place[1])) for place in sorted(axes)]
     places += [(place, 'its input') for place in inexact(problem, posterior)]
     for (block, axis), with_what in places:
         share = _left(problem, posterior, block, axis, follows)
@@ -83,6 +83,14 @@ def unexplained(problem: Problem, posterior: Posterior, follows: Follows) -> lis
     for item in sorted(found, key=lambda one: -one.share):
         largest.setdefault((item.axis, item.block), item)
     return list(largest.values())
+
+
+def _motion_of(problem: Problem, axis: str) -> str:
+    """Return what stands for the command of an axis: where none is known, its motion."""
+    known = (
+        not one.is_imported or one.path_commanded(axis) is not None for one in problem.records
+    )
+    return 'the commanded motion' if all(known) else 'its motion'
 
 
 def _left(
