@@ -83,8 +83,8 @@ def test_a_sweep_on_two_workers_survives_the_loss_of_one(scheduler, start, tmp_p
     address, workers = scheduler(2)
     out = tmp_path / 'cluster'
     twin = start('waferbot_twin', *WHAT, '--out', str(out), '--cluster', address)
-    parts = out.with_name('cluster.waferbot-sweep')
-    wait_until(lambda: list(parts.glob('part-*')), 'the first points are there', twin)
+    runs = out.with_name('cluster.waferbot-sweep') / 'runs.jsonl'
+    wait_until(lambda: runs.exists() and runs.stat().st_size, 'the first points are there', twin)
     os.kill(workers[0].process.pid, signal.SIGKILL)
     assert twin.wait() == 0, twin.output
     found = pd.read_parquet(out / 'sweep.parquet')
@@ -137,7 +137,7 @@ def test_a_front_an_identification_and_a_calibration_on_two_workers(scheduler, t
 
     def kill_one(done, total):
         if not killers and done < total // 2:
-            # Between two batches nothing would be lost: in the middle of the next one.
+            # Between two populations nothing would be lost: in the middle of this one.
             killers.append(threading.Timer(0.1, workers[0].process.kill))
             killers[0].start()
 

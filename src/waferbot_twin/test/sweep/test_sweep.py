@@ -98,7 +98,6 @@ def test_a_sweep_that_was_broken_off_goes_on_and_runs_nothing_twice(rigid, tmp_p
     with pytest.raises(KeyboardInterrupt):
         sweep.run(task, made, 1, tmp_path / 'parts')
     assert len(ran) == 11
-    del ran[8:]  # the second batch was not complete: only that much is lost
     monkeypatch.setattr(sweep, 'evaluate', lambda one, point: counted(one, point, 1000))
     table = sweep.run(task, made, 1, tmp_path / 'parts')
     assert sorted(ran) == sorted(made[:, 0].tolist())
@@ -106,6 +105,37 @@ def test_a_sweep_that_was_broken_off_goes_on_and_runs_nothing_twice(rigid, tmp_p
     pd.testing.assert_frame_equal(table, sweep.run(task, made, 1, None))
     with pytest.raises(UserError, match='broken off, of another model'):
         sweep.run(task, made[:5], 1, tmp_path / 'parts')
+
+
+def test_a_line_that_was_not_written_to_its_end_is_run_again_and_nothing_else(
+    rigid, tmp_path, monkeypatch
+):
+    task, variations = task_of(rigid, ('pmac.y_rotate.Ixx30=3000:7000:6',))
+    made, parts = points(variations, 'grid', 0, 0), tmp_path / 'parts'
+    whole = sweep.run(task, made, 1, parts)
+    file = parts / 'runs.jsonl'
+    file.write_bytes(file.read_bytes()[:-3])  # the process was killed while it wrote the sixth
+    ran = []
+    monkeypatch.setattr(
+        sweep, 'evaluate', lambda one, point: ran.append(point[0]) or evaluate(one, point)
+    )
+    pd.testing.assert_frame_equal(sweep.run(task, made, 1, parts), whole, check_exact=True)
+    assert ran == [made[5, 0]]
+    assert len(file.read_text('utf-8').splitlines()) == 6
+    file.write_text('[0, [1.0], ""]\nnone\n', 'utf-8')
+    with pytest.raises(UserError, match=r'runs\.jsonl, line 2 is no run of a sweep'):
+        sweep.run(task, made, 1, parts)
+
+
+def test_infinite_and_missing_measures_are_kept_as_they_are(rigid, tmp_path, monkeypatch):
+    task, variations = task_of(rigid, ('pmac.y_rotate.Ixx30=3000:7000:3',))
+    made = points(variations, 'grid', 0, 0)
+    given = iter([([np.inf] * 2, ''), ([np.nan] * 2, 'no machine'), ([1 / 3] * 2, '')])
+    monkeypatch.setattr(sweep, 'evaluate', lambda one, point: next(given))
+    whole = sweep.run(task, made, 1, tmp_path / 'parts')
+    again = sweep.run(task, made, 1, tmp_path / 'parts')
+    pd.testing.assert_frame_equal(again, whole, check_exact=True)
+    assert list(again['error']) == ['', 'no machine', '']
 
 
 def test_a_machine_that_cannot_be_is_a_row_that_says_so(rigid):

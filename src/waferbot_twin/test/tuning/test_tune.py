@@ -12,13 +12,18 @@ import pandas as pd
 import pytest
 from scipy.signal import freqz
 
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
+from waferbot_pmac.i_variables import servo_parameters
 from waferbot_twin.calibration.values import calibrated
 from waferbot_twin.cli.main import main
-from waferbot_twin.effects.variant import Variant
+from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.identification.named_parameters import at_path
 from waferbot_twin.models import load_model
+from waferbot_twin.tuning.corners import corners, ranges
 from waferbot_twin.tuning.gains import Tuning, notch_coefficients, rest_gain, tuning_of
+from waferbot_twin.tuning.loop import Linearised
 from waferbot_twin.tuning.search import Required
 from waferbot_twin.tuning.tune import design_of, judge, poses_of, tune
 
@@ -154,6 +159,77 @@ def test_what_is_wrong_is_said_in_one_line(arguments, said, capsys):
     error = capsys.readouterr().err
     assert said in error
     assert error.count('\n') == 1
+
+
+LIBRARY = """
+schema: 1
+entries:
+  - {part: belt, parameter: stiffness_n_m, value: 3.3e+5, unit: N/m, low: 3.2e+5, high: 3.5e+5,
+     machine: robot_1, path: connections.belt.stiffness_n_m, origin: test, date: '2026-01-01'}
+  - {part: belt, parameter: stiffness_n_m, value: 4.0e+5, unit: N/m, low: 3.9e+5, high: 4.2e+5,
+     machine: robot_2, path: connections.belt.stiffness_n_m, origin: test, date: '2026-02-01'}
+"""
+BELT = 'connections.belt.stiffness_n_m'
+ROTOR = 'rotors.y_rotate_motor.inertia_kg_m2'
+
+
+@pytest.mark.slow
+def test_gains_suit_the_ranges_of_a_library_at_all_their_ends(tmp_path, capsys):
+    """Margins in the table are those of the machines that the ends make, asked one by one."""
+    library = tmp_path / 'parts.yaml'
+    library.write_text(LIBRARY, 'utf-8')
+    arguments = ['tune', '--model', 'flexible', '--axis', 'y_rotate', '--bandwidth', '5']
+    arguments += ['--poses', 'x_rotate=0', '--generations', '10', '--library', str(library)]
+    arguments += ['--vary', BELT, '--vary', f'{ROTOR}=1.2e-5:2.2e-5', '--json']
+    assert main(arguments) == 0
+    captured = capsys.readouterr()
+    assert f'{BELT}: 3.2e+05 to 4.2e+05 N/m' in captured.err + captured.out
+    found = json.loads(captured.out[captured.out.index('{') :])
+    rows = [row for row in found['margins'] if row['gains'] == 'after']
+    assert [row['machine'] for row in rows] == [
+        'flexible',
+        *(
+            f'flexible: belt.stiffness_n_m {belt}, y_rotate_motor.inertia_kg_m2 {rotor}'
+            for belt in ('3.2e+05', '4.2e+05')
+            for rotor in ('1.2e-05', '2.2e-05')
+        ),
+    ]
+    assert all(row['stable'] for row in rows)
+    assert min(abs(row['gain_db']) for row in rows) >= 6.0
+    assert min(abs(row['phase_deg']) for row in rows) >= 35.0
+    flexible = Variant.of(load_model('flexible'))
+    machine = flexible.with_overlay(at_path(BELT, flexible).overlay(flexible, 3.2e5))
+    changed = {'rotors': {'y_rotate_motor': {'inertia_kg_m2': 2.2e-5}}}
+    machine = machine.with_overlay(
+        Overlay(machine=changed, pmac={'y_rotate': found['gains']['after']})
+    )
+    servo = servo_parameters(machine.pmac)[0]
+    timing = Timing()
+    alone = Linearised.of('alone', machine.build(timing), {'x_rotate': 0.0}, timing)
+    alone = alone.loop(servo, 'y_rotate').margins
+    assert rows[2]['gain_db'] == pytest.approx(alone.gain_db, abs=1e-9)
+    assert rows[2]['phase_deg'] == pytest.approx(alone.phase_deg, abs=1e-9)
+
+
+def test_ranges_are_those_over_machines_and_what_is_not_known_is_told(tmp_path):
+    flexible, library = Variant.of(load_model('flexible')), tmp_path / 'parts.yaml'
+    library.write_text(LIBRARY, 'utf-8')
+    (one,) = ranges([BELT], library, flexible)
+    assert (one.low, one.high) == (3.2e5, 4.2e5)
+    assert ranges([], None, flexible) == ()
+    assert corners(flexible, ()) == []
+    for texts, file, said in (
+        ([BELT], None, 'no --library is given'),
+        ([ROTOR], library, 'has nothing of it'),
+        ([BELT, BELT], library, 'is given twice'),
+        ([BELT] * 5, library, 'given 5 times'),
+    ):
+        with pytest.raises(UserError, match=said):
+            ranges(texts, file, flexible)
+    one_value = LIBRARY.replace('3.2e+5', '3.3e+5').replace('3.5e+5', '3.3e+5')
+    library.write_text(one_value[: one_value.index('  - {part', 60)], 'utf-8')
+    with pytest.raises(UserError, match='has one value of it, 330000'):
+        ranges([BELT], library, flexible)
 
 
 def test_poses_are_all_combinations():

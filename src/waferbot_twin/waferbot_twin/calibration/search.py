@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from waferbot_lockstep.errors import UserError
-from waferbot_twin.batches import in_batches
 from waferbot_twin.calibration.as_built import (
     AS_BUILT_PAYLOAD,
     AS_BUILT_Y_ROTATE,
@@ -26,6 +25,7 @@ from waferbot_twin.calibration.nominal import (
 )
 from waferbot_twin.calibration.values import Unknown, Values
 from waferbot_twin.differential_evolution import minimise
+from waferbot_twin.evaluations import in_order
 
 IMPOSSIBLE = 1e3
 """Cost of a candidate that is no machine."""
@@ -92,9 +92,9 @@ def search(
     def costs(points: np.ndarray) -> np.ndarray:
         nonlocal judged
         found: list[float] = []
-        for batch in in_batches(functools.partial(_cost, stage, start), points, workers):
-            found += batch
-            judged += len(batch)
+        for cost in in_order(functools.partial(_cost, stage, start), points, workers):
+            found.append(cost)
+            judged += 1
             progress(judged, (steps + 1) * stage.population)
         return np.array(found)
 

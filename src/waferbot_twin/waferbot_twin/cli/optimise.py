@@ -136,8 +136,9 @@ def _front(
     variations: Sequence[Variation],
     limits: Sequence[Limit],
 ) -> int:
-    from waferbot_twin.sweep.front_report import FILES, check_writable, summary, write
+    from waferbot_twin.sweep.front_report import FILES, summary, write
     from waferbot_twin.sweep.pareto import pareto_front
+    from waferbot_twin.sweep.report import check_writable
 
     output = None
     if options.out is not None:

@@ -79,6 +79,8 @@ def execute(options: argparse.Namespace) -> int:
     made = points(variations, options.method, options.samples, options.seed)
     paths = tuple(one.path for one in variations)
     task = Task(variant, paths, options.experiment, measures)
+    if options.out is not None:
+        report.check_writable()
     output = None if options.out is None else OutputFolder(options.out, options.force)
     parts = None if options.out is None else sweep.parts_folder(options.out)
     with workers_of(options) as workers, progress_bar(f'{len(made)} points') as progress:

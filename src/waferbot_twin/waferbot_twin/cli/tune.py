@@ -2,10 +2,11 @@
 """
 Tune an axis: PMAC gains for a bandwidth or for an experiment, with margins at every pose.
 
-The loop is linearised at a grid of poses of the model, and of other machines (--also) that the same
-gains must suit; every one must have the gain, phase and delay margins asked for. Without --bandwidth
-the gains are those with which a run of the experiment is best. DIR gets tuned.yaml, a model with the new
-gains, margins.csv, bode.png, nichols.png and tune.json.
+The loop is linearised at a grid of poses of the model, and of other machines that the same gains must
+suit: those of --also, and the model with the parameters of --vary at their ends. Every one must have the
+gain, phase and delay margins asked for. Without --bandwidth the gains are those with which a run of the
+experiment is best. DIR gets tuned.yaml, a model with the new gains, margins.csv, bode.png, nichols.png
+and tune.json.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from pathlib import Path
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.parameters import known_name
-from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console
+from waferbot_twin.cli.console import new_table, print_json, progress_bar, result_console, say
 from waferbot_twin.cli.keeping import keep
 from waferbot_twin.output_folder import OutputFolder
 
@@ -30,6 +31,9 @@ EXAMPLES = (
     'waferbot tune --model flexible --also as_built --axis y_rotate --bandwidth 5 '
     '--poses x_rotate=0:1.57:3',
     'waferbot tune --model as_built --experiment step_y_rotate --generations 8 --out retuned',
+    'waferbot tune --model flexible --axis y_rotate --bandwidth 5 --poses x_rotate=0 '
+    '--vary connections.belt.stiffness_n_m=3.2e5:4.2e5 '
+    '--vary rotors.y_rotate_motor.inertia_kg_m2=1.2e-5:2.2e-5',
 )
 """What `--help` shows; tests run them."""
 
@@ -60,6 +64,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='another machine that the gains must suit',
     )  # fmt: skip
     parser.add_argument(
+        '--vary', action='append', default=[], metavar='PATH[=LOW:HIGH]',
+        help='a parameter known to a range, by the paths of identify: the gains must suit the model '
+        'with all such parameters at their ends',
+    )  # fmt: skip
+    parser.add_argument(
+        '--library', type=Path, metavar='FILE', help='where --vary PATH has its range from'
+    )
+    parser.add_argument(
         '--poses', nargs='+', default=[], metavar='AXIS=LOW:HIGH:N',
         help='grid of poses, m or rad (default: where the shipped experiments go)',
     )  # fmt: skip
@@ -86,6 +98,7 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
     from waferbot_twin.tuning import report
+    from waferbot_twin.tuning.corners import corners, ranges
     from waferbot_twin.tuning.runs import moving_axis
     from waferbot_twin.tuning.search import Required
     from waferbot_twin.tuning.tune import design_of, poses_of, tune
@@ -107,7 +120,13 @@ def execute(options: argparse.Namespace) -> int:
     output = None if options.out is None else OutputFolder(options.out, options.force)
     variant = Variant.of(load_model(options.model))
     known_name(axis, variant.layout.axes, '--axis')
+    if options.library is not None and not options.vary:
+        raise UserError('--library is for --vary: say which parameters take their range from it')
     others = [Variant.of(load_model(name)) for name in options.also]
+    varied = ranges(options.vary, options.library, variant)
+    for one in varied:
+        say(f'{one.path}: {one.low:.5g} to {one.high:.5g} {one.parameter.unit}'.rstrip())
+    others += corners(variant, varied)
     poses = poses_of(variant, dict(_grid(text) for text in options.poses))
     if len(poses) > MOST_POSES:
         raise UserError(f'--poses are {len(poses)} together; give at most {MOST_POSES}')

@@ -84,6 +84,14 @@ def entries_of(entries: Sequence[Entry], parameter: NamedParameter) -> list[Entr
     ]
 
 
+def seen(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, float] | None:
+    """Return the range of a parameter of a model over machines and time; None if nothing is known."""
+    known = entries_of(entries, parameter)
+    if not known:
+        return None
+    return min(ends_of(entry)[0] for entry in known), max(ends_of(entry)[1] for entry in known)
+
+
 def prior(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, float] | None:
     """
     Return the range in which a parameter of a model is to be expected; None if nothing is known.
@@ -91,11 +99,10 @@ def prior(entries: Sequence[Entry], parameter: NamedParameter) -> tuple[float, f
     Known is what `entries_of` says. The model's value is in the range, and the parameter's own bounds
     hold.
     """
-    known = entries_of(entries, parameter)
-    if not known:
+    known = seen(entries, parameter)
+    if known is None:
         return None
-    low = min(ends_of(entry)[0] for entry in known)
-    high = max(ends_of(entry)[1] for entry in known)
+    low, high = known
     reach = STRETCH * ((high - low) or abs(high))
     low, high = (low - reach if low <= reach else low / (1.0 + STRETCH)), high + reach
     low, high = min(low, parameter.start), max(high, parameter.start)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ matplotlib.use('Agg')
 
 import matplotlib.pyplot as plt
 
-from waferbot_lockstep.errors import UserError
 from waferbot_twin.html_page import save_picture
 from waferbot_twin.plain_values import finite
 from waferbot_twin.recording.writer import as_json
@@ -21,12 +19,6 @@ from waferbot_twin.sweep.parallel_coordinates import parallel_coordinates, width
 from waferbot_twin.sweep.pareto import KEPT, Front
 
 FILES = ('points.parquet', 'front.png', 'front.json')
-
-
-def check_writable() -> None:
-    """Raise `UserError` if what writes the table is not installed, before a long search."""
-    if importlib.util.find_spec('pyarrow') is None:
-        raise UserError('points are kept as parquet: python -m pip install pyarrow')
 
 
 def model_file(number: int) -> str:

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from waferbot_twin.batches import in_batches
+from waferbot_twin.evaluations import in_order
 from waferbot_twin.sweep.evaluation import Found, Task, as_table, evaluate
 from waferbot_twin.sweep.limits import Limit
 from waferbot_twin.sweep.variation import Floats, Variation, held
@@ -47,8 +47,8 @@ class Populations:
         """Return the measures (n, names) of points (n, k), as the devices hold them."""
         points = held(self._variations, points)
         first = len(self._found)
-        for batch in in_batches(functools.partial(evaluate, self.task), points, self._workers):
-            self._found += batch
+        for found in in_order(functools.partial(evaluate, self.task), points, self._workers):
+            self._found.append(found)
             self._progress(min(len(self._found), self._planned), self._planned)
         self._points.append(points)
         return np.array([values for values, _ in self._found[first:]])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 
+from waferbot_lockstep.errors import UserError
 from waferbot_twin.html_page import save_picture
 from waferbot_twin.plain_values import finite
 from waferbot_twin.recording.writer import as_json
@@ -22,6 +24,12 @@ from waferbot_twin.sweep.evaluation import ERROR
 from waferbot_twin.sweep.parallel_coordinates import parallel_coordinates, width_in
 
 FILES = ('sweep.parquet', 'sweep.png', 'sweep.json')
+
+
+def check_writable() -> None:
+    """Raise `UserError` if what writes the table is not installed, before many runs."""
+    if importlib.util.find_spec('pyarrow') is None:
+        raise UserError('points are kept as parquet: python -m pip install pyarrow')
 
 
 def summary(

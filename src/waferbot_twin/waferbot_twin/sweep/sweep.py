@@ -2,19 +2,20 @@
 """
 All points of a sweep, on several processes, kept as they come: a sweep that is broken off goes on.
 
-What is done is kept in `DIR.waferbot-sweep` beside the result, a file for each batch of points,
-with the plan of the sweep. Started again with the same plan it runs what is missing, and no point
-twice; with another one it is refused. The order of the results is that of the points, whatever the
+What is done is kept in `DIR.waferbot-sweep` beside the result: the plan of the sweep, and `runs.jsonl`,
+a line for each run, written as it ends. Started again with the same plan it runs what is missing, and no
+point twice; with another one it is refused. The order of the results is that of the points, whatever the
 number of processes.
 """
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,11 @@ import pandas as pd
 from waferbot_lockstep.atomic_files import write_text
 from waferbot_lockstep.errors import UserError
 from waferbot_pmac.experiments import load_experiment
-from waferbot_twin.batches import in_batches
-from waferbot_twin.sweep.evaluation import Task, as_table, evaluate
+from waferbot_twin.evaluations import as_they_end
+from waferbot_twin.sweep.evaluation import Found, Task, as_table, evaluate
 
 PARTS = '.waferbot-sweep'
+RUNS = 'runs.jsonl'
 Progress = Callable[[int, int], None]
 
 
@@ -43,22 +45,17 @@ def run(
     `parts` is the folder in which what is done is kept, None for nowhere. Raises `UserError` if there
     is a sweep of another plan in it.
     """
-    done = pd.DataFrame()
-    if parts is not None:
-        done = _begin(parts, plan_of(task, points))
-    missing = [place for place in range(len(points)) if place not in done.index]
-    pieces = [done] if len(done) else []
+    done = {} if parts is None else _begin(parts, plan_of(task, points))
+    missing = [place for place in range(len(points)) if place not in done]
     progress(len(done), len(points))
-    ran = 0
-    for found in in_batches(functools.partial(evaluate, task), points[missing], workers):
-        batch = missing[ran : ran + len(found)]
-        ran += len(found)
-        piece = as_table(task, points[batch], found, batch)
-        pieces.append(piece)
-        if parts is not None:
-            _keep(piece, parts / f'part-{batch[0]:07d}.parquet')
-        progress(len(points) - len(missing) + ran, len(points))
-    return pd.concat(pieces).sort_index()
+    with contextlib.nullcontext(_forgets) if parts is None else _keeping(parts / RUNS) as keep:
+        work = as_they_end(functools.partial(evaluate, task), points[missing], workers)
+        for place, found in work:
+            done[missing[place]] = found
+            keep(missing[place], found)
+            progress(len(done), len(points))
+    places = range(len(points))
+    return as_table(task, points, [done[place] for place in places], places)
 
 
 def plan_of(task: Task, points: np.ndarray) -> dict[str, object]:
@@ -84,13 +81,13 @@ def forget(parts: Path) -> None:
     shutil.rmtree(parts, ignore_errors=True)
 
 
-def _begin(parts: Path, plan: dict[str, object]) -> pd.DataFrame:
+def _begin(parts: Path, plan: dict[str, object]) -> dict[int, Found]:
     """Return what is done already of this plan."""
     file = parts / 'plan.json'
     if not file.exists():
         parts.mkdir(parents=True, exist_ok=True)
         write_text(file, json.dumps(plan, indent=1))
-        return pd.DataFrame()
+        return {}
     try:
         before = json.loads(file.read_text('utf-8'))
     except (OSError, ValueError):
@@ -100,17 +97,44 @@ def _begin(parts: Path, plan: dict[str, object]) -> pd.DataFrame:
             f'{parts} holds a sweep that was broken off, of another model, experiment or points; '
             'go on with it as it was started, or remove that folder'
         )
-    pieces = [pd.read_parquet(one) for one in sorted(parts.glob('part-*.parquet'))]
-    return pd.concat(pieces) if pieces else pd.DataFrame()
+    return _kept(parts / RUNS)
 
 
-def _keep(piece: pd.DataFrame, file: Path) -> None:
-    """Write a part whole or not at all."""
-    fresh = file.with_suffix('.new')
+def _kept(file: Path) -> dict[int, Found]:
+    """Return the runs in a file, and cut off a last line that was not written to its end."""
+    if not file.exists():
+        return {}
+    whole, _, torn = file.read_bytes().rpartition(b'\n')
+    if torn:
+        with file.open('r+b') as stream:
+            stream.truncate(len(whole) + 1 if whole else 0)
+    done: dict[int, Found] = {}
     try:
-        piece.to_parquet(fresh)
-        fresh.rename(file)
-    except ImportError as error:
-        raise UserError('a sweep is kept as parquet: python -m pip install pyarrow') from error
+        for line in whole.splitlines():
+            place, values, error = json.loads(line)
+            done[int(place)] = [float(value) for value in values], str(error)
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f'{file}, line {len(done) + 1} is no run of a sweep; remove {file.parent}'
+        ) from error
+    return done
+
+
+def _forgets(place: int, found: Found) -> None:
+    """Keep nothing."""
+
+
+@contextlib.contextmanager
+def _keeping(file: Path) -> Iterator[Callable[[int, Found], None]]:
+    """Give a function that writes a run to the end of a file."""
+    try:
+        # Python writes every digit of a number: what is read again has the same bits.
+        with file.open('a', encoding='utf-8') as stream:
+
+            def keep(place: int, found: Found) -> None:
+                stream.write(json.dumps([place, *found]) + '\n')
+                stream.flush()
+
+            yield keep
     except OSError as error:
         raise UserError(f'{file} cannot be written: {error.strerror}') from error
