@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,7 @@ from waferbot_lockstep.timing import Timing
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Overlay, Variant
+from waferbot_twin.evaluations import as_they_end
 from waferbot_twin.models import load_model
 from waferbot_twin.sweep import sweep
 from waferbot_twin.sweep.evaluation import Task, evaluate
@@ -125,6 +127,22 @@ def test_a_line_that_was_not_written_to_its_end_is_run_again_and_nothing_else(
     file.write_text('[0, [1.0], ""]\nnone\n', 'utf-8')
     with pytest.raises(UserError, match=r'runs\.jsonl, line 2 is no run of a sweep'):
         sweep.run(task, made, 1, parts)
+
+
+def test_no_process_waits_for_another(tmp_path):
+    """While one run does not end, the other process makes all that are left, each kept as it ends."""
+
+    def first_waits_for_last(point):
+        deadline = time.monotonic() + 60.0
+        while point[0] == 0 and not (tmp_path / '11').exists():
+            assert time.monotonic() < deadline, 'the other process waits as well'
+            time.sleep(0.01)
+        (tmp_path / f'{point[0]:.0f}').touch()
+        return point[0]
+
+    found = list(as_they_end(first_waits_for_last, np.arange(12.0)[:, None], 2))
+    assert sorted(place for place, _ in found) == list(range(12))
+    assert all(result == place for place, result in found)
 
 
 def test_infinite_and_missing_measures_are_kept_as_they_are(rigid, tmp_path, monkeypatch):
