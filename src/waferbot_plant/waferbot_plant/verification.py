@@ -31,6 +31,8 @@ DRIVING_RAD_PER_TICK = 1e-3
 """Amplitudes and (times 2, 3, 4) turning rate of the voltages that drive the energy check."""
 
 FREE_SPEEDS = (0.05, 2.0, 3.0)
+DRIVING_CURRENT_A = 3.0
+FREE_SPEED_OF_UNIT = {'m': 0.05, 'rad': 0.5}
 """Speeds of the axes when they are let go without losses, m/s and rad/s."""
 
 
@@ -147,15 +149,35 @@ def energy_imbalance(machine: Machine, ticks: int = 9000) -> float:
     parameters = machine.parameters()
     state = machine.initial_state(parameters, holding=True)
     before = audit.books(machine, state, parameters)
-    voltage = np.zeros(3 * len(AXES))
+    amplitudes = _driving_voltages(machine)
+    voltage = np.zeros(3 * len(amplitudes))
     lines = 2.0 * np.pi / 3.0 * np.arange(3)
     for tick in range(ticks):
-        for motor, amplitude in enumerate(DRIVING_VOLTAGE_V):
+        for motor, amplitude in enumerate(amplitudes):
             angle = DRIVING_RAD_PER_TICK * (2 + motor) * tick
             voltage[3 * motor : 3 * motor + 3] = amplitude * np.sin(angle - lines)
         plant.advance(state, parameters, voltage)
     after = audit.books(machine, state, parameters)
     return audit.imbalance(before, after) / sum(after.supplied.values())
+
+
+def _driving_voltages(machine: Machine) -> tuple[float, ...]:
+    """Return the amplitudes with which motors are driven, V; of other machines for a current."""
+    if machine.layout.axes == AXES:
+        return DRIVING_VOLTAGE_V
+    found = machine.description.motors
+    return tuple(
+        DRIVING_CURRENT_A * found[axis].resistance if axis in found else 0.0
+        for axis in machine.layout.axes
+    )
+
+
+def _free_speeds(machine: Machine) -> dict[str, float]:
+    """Return the speeds with which axes are let go, m/s or rad/s."""
+    if machine.layout.axes == AXES:
+        return dict(zip(AXES, FREE_SPEEDS, strict=True))
+    units = machine.description.axis_units
+    return {axis: FREE_SPEED_OF_UNIT[unit] for axis, unit in units.items()}
 
 
 def lossless_drift(machine: Machine, substeps: int, seconds: float = 1.0) -> float:
@@ -176,8 +198,10 @@ def lossless_drift(machine: Machine, substeps: int, seconds: float = 1.0) -> flo
     s = state[0]
     s['terminals_open'] = 1
     coordinates = list(machine.coordinates)
-    for axis, speed in zip(AXES, FREE_SPEEDS, strict=True):
-        s['velocity'][coordinates.index(machine.description.axes[axis])] = speed
+    for axis, speed in _free_speeds(machine).items():
+        coordinate = machine.description.axes.get(axis)
+        if coordinate in coordinates:
+            s['velocity'][coordinates.index(coordinate)] = speed
     for item in machine.description.transmissions.values():
         if item.driving in coordinates and item.driven in machine.description.axes.values():
             driven = s['velocity'][coordinates.index(item.driven)]
@@ -185,7 +209,7 @@ def lossless_drift(machine: Machine, substeps: int, seconds: float = 1.0) -> flo
     stored = np.zeros(4)
     plant.energy(state, parameters, stored)
     start, motion = stored.sum(), stored[0]
-    voltage = np.zeros(3 * len(AXES))
+    voltage = np.zeros(3 * len(machine.layout.axes))
     drift = 0.0
     for tick in range(machine.timing.ticks(seconds)):
         plant.advance(state, parameters, voltage)

@@ -129,6 +129,24 @@ def test_verify_passes_and_stands_beside_the_thesis(capsys) -> None:
     assert 'all checks passed' in capsys.readouterr().out
 
 
+@pytest.mark.slow
+def test_verify_takes_another_machine(capsys) -> None:
+    """Belts that give have a drift of second order; what slides without any has none."""
+    result = as_json(capsys, 'verify', '--description', 'scara')
+    assert result['passed'] is True
+    assert [check['name'].partition(',')[0] for check in result['checks']] == [
+        'energy',
+        'drift',
+        'drift',
+    ]
+    assert 0.0 < result['checks'][1]['found'] < 1e-6
+    assert 0.2 < result['checks'][2]['found'] < 0.3
+    result = as_json(capsys, 'verify', '--description', 'single_mass')
+    assert len(result['checks']) == 2
+    assert main(['verify', '--description', 'no_such_machine']) == 1
+    assert 'no_such_machine' in capsys.readouterr().err
+
+
 @pytest.mark.parametrize('worst', [2e-9, float('nan')])
 def test_verify_fails_loudly(capsys, monkeypatch: pytest.MonkeyPatch, worst: float) -> None:
     monkeypatch.setattr(verification, 'open_loop_differences', lambda machine: {'y_linear': 0.0})

@@ -33,7 +33,7 @@ EXAMPLES = (
     'waferbot tune --model as_built --experiment step_y_rotate --generations 8 --out retuned',
     'waferbot tune --model flexible --axis y_rotate --bandwidth 5 --poses x_rotate=0 '
     '--vary connections.belt.stiffness_n_m=3.2e5:4.2e5 '
-    '--vary rotors.y_rotate_motor.inertia_kg_m2=1.2e-5:2.2e-5',
+    '--vary rotors.y_rotate_motor.inertia_kg_m2=1.2e-5:2.2e-5 --generations 10',
 )
 """What `--help` shows; tests run them."""
 
