@@ -16,9 +16,16 @@ import pytest
 from harness import wait_until
 
 import waferbot as wb
+from waferbot_lockstep.timing import Timing
+from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.calibration.search import STAGES, search
 from waferbot_twin.calibration.values import calibrated
 from waferbot_twin.cluster import cluster
+from waferbot_twin.effects import find
+from waferbot_twin.residuals.problem import Cause
+from waferbot_twin.suggestion import suggest
+from waferbot_twin.suggestion.candidates import Candidate
+from waferbot_twin.suggestion.separation import Machine
 from waferbot_twin.sweep.evaluation import Task
 from waferbot_twin.sweep.pareto import pareto_front
 from waferbot_twin.sweep.variation import parse_variations
@@ -146,6 +153,38 @@ def test_a_front_an_identification_and_a_calibration_on_two_workers(scheduler, t
     assert workers[0].process.wait(10) == -signal.SIGKILL
     here = pareto_front(task, variations, (), 1)
     pd.testing.assert_frame_equal(there.points, here.points, check_exact=True)
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_experiments_are_suggested_on_two_workers(scheduler, monkeypatch):
+    """What four short experiments are worth: to the last bit as in one process."""
+    address, _ = scheduler(2)
+    variant = wb.load_model('rigid').variant
+    motions = [
+        f'{{name: m{size}, duration_s: 0.3, motion: '
+        f'{{x_rotate: {{kind: step, start_s: 0.05, amplitude_counts: {size}}}}}}}'
+        for size in (200, 400, 600, 800)
+    ]
+    candidates = [Candidate(motion, load_experiment(motion)) for motion in motions]
+    monkeypatch.setattr(suggest, 'library', lambda variant: candidates)
+    monkeypatch.setattr(suggest, 'designed', lambda *arguments: [])
+    monkeypatch.setattr(suggest, '_instead', lambda machine, found: [])
+    causes = [
+        Cause(effect, 'x_rotate', effect.typical(variant, 'x_rotate'))
+        for effect in map(find, ('viscous_friction', 'coulomb_friction'))
+    ]
+    machine = Machine(variant, 1.0, 3, Timing())
+    with on_workers(address) as cores:
+        there = suggest.suggest(machine, causes, lambda done, total: None, cores)
+    here = suggest.suggest(machine, causes, lambda done, total: None, 1)
+    worth = [
+        [(one.candidate.label, one.evidence(one.separations)) for one in found.rated]
+        for found in (there, here)
+    ]
+    assert worth[0] == worth[1]
+    assert len(worth[0]) == 4
+    assert worth[0][0][1] > 0.0
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from waferbot_twin.recording.reader import read_recording
 BANDWIDTHS = {
     'ball_screw_stage': ('y_linear=25',),
     'scara': ('y_linear=15', 'x_rotate=8', 'y_rotate=8'),
+    'scara_four_axes': ('lift=15', 'shoulder=8', 'elbow=8', 'wrist=12'),
     'gantry': ('y_linear=25', 'x_rotate=20', 'y_rotate=10'),
     'puma_560': (
         *('waist=8', 'shoulder=8', 'elbow=10'),
@@ -101,14 +102,14 @@ def written(folder, experiment):
 
 @pytest.fixture(scope='module')
 def commissioned(tmp_path_factory):
-    """Give a function that makes the model of an example, once."""
+    """Give a function that makes the model of an example, once; its experiments are beside it."""
     folder = tmp_path_factory.mktemp('models')
 
     def make(name):
         file = folder / f'{name}.yaml'
         if not file.exists():
             more = [part for one in BANDWIDTHS[name] for part in ('--bandwidth', one)]
-            output_of('commission', name, *more, '--out', file)
+            output_of('commission', name, *more, '--out', file, '--experiments', folder / name)
         return file
 
     return make
@@ -119,7 +120,9 @@ def test_it_runs_over_ros_as_in_one_process_and_with_its_own_fmu(name, commissio
     pytest.importorskip('fmpy')
     model, fmu = commissioned(name), tmp_path / 'plant.fmu'
     output_of('export-fmu', '--model', model, '--out', fmu)
-    experiment = written(tmp_path, OWN[name]) if name in OWN else 'step'
+    experiment = model.parent / name / 'step.yaml'
+    if name in OWN:
+        experiment = written(tmp_path, OWN[name])
     what = ('run', '--model', model, '--experiment', experiment, '--duration', '0.03')
     ways = {
         'here': ('--engine', 'inprocess'),

@@ -68,7 +68,9 @@ def mass_and_gravity(description, pose):
     return mass[np.ix_(rows, rows)] * np.outer(per, per), force[rows] * per
 
 
-@pytest.mark.parametrize('name', ['as_built', 'planar_two_link_arm', 'emps', 'gantry'])
+@pytest.mark.parametrize(
+    'name', ['as_built', 'planar_two_link_arm', 'emps', 'gantry', 'scara_four_axes']
+)
 def test_mujoco_has_the_same_mass_matrix_and_gravity(name):
     description = load_machine(name).description
     model = mujoco.MjModel.from_xml_string(mjcf(description))
