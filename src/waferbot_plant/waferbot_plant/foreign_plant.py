@@ -9,8 +9,9 @@ It has the inputs and outputs of `signals` by name, or by a mapping of these nam
     x_rotate_counts: 0                 # the FMU has none: always this value
 
 Voltages, counts and line currents of all axes must be there or be mapped; open terminals, positions and
-speeds may be missing (then zeros are shown for the latter). FMI 2.0 and 3.0, co-simulation; float64
-variables (Real). Counts are rounded to whole ones by whoever sends them.
+speeds may be missing (then zeros are shown for the latter). FMI 2.0 and 3.0, co-simulation; variables
+are float64 (Real), outputs also whole numbers of any kind, as counts are. Counts that are no whole
+numbers are rounded by whoever sends them.
 """
 
 from __future__ import annotations
@@ -102,6 +103,10 @@ def _described(file: Path) -> Any:
     return description
 
 
+INTEGERS = ('Integer', *(f'{sign}Int{bits}' for sign in ('', 'U') for bits in (8, 16, 32, 64)))
+REALS = ('Real', 'Float64')
+
+
 class ForeignPlant:
     """An FMU that was instantiated; `values` reads outputs, `step` goes on."""
 
@@ -140,7 +145,7 @@ class ForeignPlant:
             role = 'input' if variable in inputs else 'output'
             if roles.get(name) != role:
                 missing.append(f'{role} {name!r}')
-            elif types[name] not in ('Real', 'Float64'):
+            elif types[name] not in (REALS if role == 'input' else (*REALS, *INTEGERS)):
                 missing.append(f'real {role} {name!r} (it is of type {types[name]})')
         if missing:
             raise UserError(
@@ -159,7 +164,13 @@ class ForeignPlant:
             return np.array([place for place, _ in found], int), [value for _, value in found]
 
         self._taken, self._inputs = placed(inputs)
-        self._present, self._outputs = placed(self._variables)
+        present, outputs = placed(self._variables)
+        kinds = {variable.valueReference: variable.type for variable in description.modelVariables}
+        self._outputs = [
+            (f'get{kind}', present[of_kind], [outputs[place] for place in of_kind])
+            for kind in dict.fromkeys(kinds[one] for one in outputs)
+            for of_kind in [[row for row, one in enumerate(outputs) if kinds[one] == kind]]
+        ]
         self._shown = np.array(
             [
                 0.0 if value is None or isinstance(value, str) else float(value)
@@ -191,9 +202,8 @@ class ForeignPlant:
 
     def values(self) -> np.ndarray:
         """Return counts, two line currents an axis, positions and speeds; see `parts`."""
-        if self._outputs:
-            read_values = self._fmu.getFloat64 if self._three else self._fmu.getReal
-            self._shown[self._present] = read_values(self._outputs)
+        for getter, present, outputs in self._outputs:
+            self._shown[present] = getattr(self._fmu, getter)(outputs)
         if not np.isfinite(self._shown).all():
             place = int(np.flatnonzero(~np.isfinite(self._shown))[0])
             raise UserError(
