@@ -35,7 +35,7 @@ def test_machines_of_the_package_with_as_many_places_share_one_compiled_code() -
     """Whatever gives, rubs or is wrong in them."""
     loaded = [load_machine(name) for name in description_names()]
     assert {machine.description.name for machine in loaded if machine.layout != SHIPPED} == {
-        'DFKI double pendulum C.1', 'PUMA 560', 'UR10e base', 'UR10e elbow',
+        'DFKI double pendulum C.1', 'PUMA 560', 'SCARA of four axes', 'UR10e base', 'UR10e elbow',
     }  # fmt: skip
     machines = [machine for machine in loaded if machine.layout == SHIPPED]
     machines += [load_machine('flexible', overlays=[overlay]) for overlay in OVERLAYS]
