@@ -69,13 +69,19 @@ class Motion:
         return np.sin(angle) @ (self.size * self.wave**order)
 
 
-def log_of(random, more=lambda angle, speed: 0.0, step_s=2e-3, jitter=0.3, kind='force'):
-    """Return the log of a motor with the inertia of the model and `more` torque against it."""
+def log_of(
+    random, more=lambda angle, speed: 0.0, step_s=2e-3, jitter=0.3, kind='force', share=1.0
+):
+    """
+    Return the log of a motor with the inertia of the model and `more` torque against it.
+
+    With a `share` of the motion.
+    """
     motion = Motion(random)
     time_s = step_s * (
         np.arange(int(4.0 / step_s)) + jitter * random.uniform(size=int(4.0 / step_s))
     )
-    angle, speed, rate = (motion.derivative(order, time_s) for order in range(3))
+    angle, speed, rate = (share * motion.derivative(order, time_s) for order in range(3))
     torque = INERTIA * rate + more(angle, speed)
     angle = np.round(angle * COUNTS) / COUNTS
     return MeasuredLog(
@@ -160,6 +166,38 @@ def test_orders_of_cogging_come_out_of_the_residual(random, motor) -> None:
     log = log_of(random, cogging, step_s=1e-3)
     block = PlantBlock(record_of_measured_log(log, motor), motor)
     assert orders_of(motor, [block]) == {AXIS: tuple(orders)}
+
+
+@pytest.mark.parametrize('share', [1.0, 0.02])
+def test_orders_of_a_motor_without_described_poles_are_any_that_its_log_shows(
+    share, random, tmp_path
+) -> None:
+    """Of its gear, too: 120 waves a turn, over some turns and over a part of one."""
+    file = tmp_path / 'motor.yaml'
+    file.write_text(
+        'name: motor\n'
+        'bodies:\n'
+        '  rotor: {mass_kg: 0.6, centre_of_gravity_m: [0, 0, 0],'
+        f' inertia_kg_m2: {{xx: 2.0e-4, yy: 2.0e-4, zz: {INERTIA}}}}}\n'
+        'joints:\n'
+        '  bearing: {parent: base, child: rotor, at_m: [0, 0, 0],'
+        ' freedoms: {rotor_angle: {type: revolute, axis: [0, 0, 1]}}}\n'
+        f'axes: {{{AXIS}: rotor_angle}}\n'
+        f'motors: {{{AXIS}: {{coordinate: rotor_angle, torque_per_ampere_nm_a: 0.055}}}}\n'
+        f'encoders: {{{AXIS}: {{coordinate: rotor_angle, counts_per_revolution: 8192}}}}\n'
+    )
+    unknown = Variant.of(load_model_or_machine(file))
+    assert not places.has_poles(unknown, AXIS)
+    order = 120
+
+    def ripple(angle, speed):
+        return 0.02 * np.cos(order * angle + 1.0) + 0.01 * np.sign(speed)
+
+    log = log_of(random, ripple, step_s=5e-4, share=share)
+    block = PlantBlock(record_of_measured_log(log, unknown), unknown)
+    (found, *_) = orders_of(unknown, [block])[AXIS]
+    travel = np.ptp(log[AXIS, 'position'].value) / (2.0 * math.pi)
+    assert found == pytest.approx(order, abs=0.6 / travel)
 
 
 def test_what_comes_once_a_turn_is_no_cogging(random, motor) -> None:

@@ -19,8 +19,12 @@ Orders of a turn begin with two: a magnet that is another one meets each tooth o
 that is another one each pole of the rotor, and neither has less than two. Once a turn is something else:
 an imbalance, an eccentricity.
 
-Limits: orders are whole numbers per turn (per electrical cycle of a linear motor) and no closer than the
-travel can tell apart; a travel below an electrical cycle shows none; M is that of the axis alone. When
+Where nobody described the poles of a motor, orders may be any that the travel and the samples can show:
+of its gear as well as of its motor.
+
+Limits: orders are whole numbers per turn (per electrical cycle of a linear motor, per m if that is not
+known) and no closer than the travel can tell apart; a travel below an electrical cycle shows none, or
+below a period of the order if its poles are not known; M is that of the axis alone. When
 an axis moves so slowly that its current only holds against the cogging, a motor without any force
 would explain the log as well: a wrong force constant is not allowed for here.
 """
@@ -94,7 +98,7 @@ def log_prior_of_orders(variant: Variant, cause: Cause) -> float:
     if not has_orders(cause) or 'order' in cause.values:
         return 0.0
     count = len(cause.values) // 2
-    every = max(math.floor(ORDERS_PER_CYCLE * _cycles(variant, cause.axis)), count)
+    every = max(math.floor(_highest(variant, cause.axis)), count)
     return -math.log(math.comb(every, count))
 
 
@@ -183,15 +187,24 @@ def _force_to_innovation(observer_hz: float, time_s: Array) -> tuple[Array, Arra
 def _candidates(variant: Variant, axis: str, parts: Sequence[_Part]) -> list[int]:
     """Return the orders that the travel of the logs can show."""
     travel = max(float(np.ptp(part.turns)) for part in parts)
-    cycles = _cycles(variant, axis)
-    if travel * cycles < 1.0:
+    known = places.has_poles(variant, axis)
+    if not travel > 0.0 or (known and travel * _cycles(variant, axis) < 1.0):
         return []
     step = max(1, round(0.6 / travel))
     # Two samples in a period at least where the axis is slow: there a line shows most.
     slow = min(_slow(part.turns) for part in parts)
-    highest = min(ORDERS_PER_CYCLE * cycles, MOST_ORDERS * step, 0.5 / max(slow, 1e-9))
-    orders = range(step, int(highest) + 1, step)
-    return [order for order in orders if order > 1 or not places.motor_rotary(variant, axis)]
+    highest = min(_highest(variant, axis), MOST_ORDERS * step, 0.5 / max(slow, 1e-9))
+    least = 1.0 if places.motor_rotary(variant, axis) else 0.0
+    if not known:
+        least = max(least, 1.0 / travel)
+    return [order for order in range(step, int(highest) + 1, step) if order > least]
+
+
+def _highest(variant: Variant, axis: str) -> float:
+    """Return the highest order that is looked for: by the poles, where these are known."""
+    if not places.has_poles(variant, axis):
+        return float(MOST_ORDERS)
+    return ORDERS_PER_CYCLE * _cycles(variant, axis)
 
 
 def _cycles(variant: Variant, axis: str) -> float:
