@@ -8,13 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from waferbot_twin.noise_model.misfit import (
-    InLog,
-    StateFunctions,
-    covariance_of,
-    log_likelihood_ratio,
-    taken_by,
-)
+from waferbot_twin.noise_model.misfit import InLog, StateFunctions, power_along, taken_by
 
 RATE_HZ = 1000.0
 SAMPLES = 6000
@@ -38,18 +32,6 @@ def in_logs(axes):
     return [InLog(functions, place) for place in range(len(axes))]
 
 
-def power_along(left, change, logs, taken=0.0):
-    """Return the power of noise and misfit along a change, white noise having 1."""
-    (more,) = covariance_of([one[:, None] for one in change], left, logs, taken).ravel()
-    return 1.0 + float(more) / sum(float(one @ one) for one in change)
-
-
-def ahead_by(left, change, logs):
-    """Return by how much what leaves `left` is ahead of what leaves a change more."""
-    squares = sum(float((2.0 * e + d) @ d) for e, d in zip(left, change, strict=True))
-    return log_likelihood_ratio(left, change, logs, squares)
-
-
 def test_the_functions_are_orthonormal_over_all_logs_together(random) -> None:
     columns = np.concatenate(in_logs(motions(random))[0].functions.columns)
     count = columns.shape[1]
@@ -62,7 +44,7 @@ def test_white_noise_is_no_misfit(random) -> None:
     logs = in_logs(axes)
     change = [np.tanh(speed / 0.01) for _, speed in axes]
     values = [
-        power_along([random.standard_normal(SAMPLES) for _ in axes], change, logs)
+        power_along([random.standard_normal(SAMPLES) for _ in axes], change, logs).value
         for _ in range(40)
     ]
     # phi of white noise has the standard deviation (2 / k)^(1/2), 0.18.
@@ -93,60 +75,23 @@ def test_white_noise_is_no_misfit_where_much_was_fitted(random) -> None:
     assert np.mean(found) == pytest.approx(1.0, abs=4.0 * np.std(found) / math.sqrt(len(found)))
 
 
-def misfit_of(axes, random):
-    """Return friction that falls with speed, in white noise: it lacks."""
-    return [
+def test_a_cause_has_to_gain_more_than_the_misfit_in_other_directions(random) -> None:
+    """Friction that falls with speed lacks; a force over position gains a little of it by chance."""
+    axes = motions(random)
+    logs = in_logs(axes)
+    left = [
         random.standard_normal(SAMPLES) + np.sign(speed) * np.exp(-np.abs(speed) / 0.2)
         for _, speed in axes
     ]
-
-
-def test_a_cause_has_to_gain_more_than_the_misfit_in_other_directions(random) -> None:
-    """A force over position gains a little of what lacks by chance."""
-    axes = motions(random)
-    logs = in_logs(axes)
-    left = misfit_of(axes, random)
     over_position = [np.cos(20.0 * way) for way, _ in axes]
-    along_it = power_along(left, over_position, logs)
-    assert along_it > 5.0
+    power = power_along(left, over_position, logs)
+    assert power.value > 5.0
     square = sum(float(one @ one) for one in over_position)
-    size = sum(float(one @ e) for one, e in zip(over_position, left, strict=True)) / square
-    change = [size * one for one in over_position]
-    fitted = [e - d for e, d in zip(left, change, strict=True)]
-    assert ahead_by(fitted, change, logs) < 3.0
+    gained = sum(float(one @ e) for one, e in zip(over_position, left, strict=True)) ** 2 / square
+    assert power.log_likelihood_ratio(gained) < 3.0
     # What is finer than these functions is no part of it.
     ripple = [np.cos(2000.0 * way) for way, _ in axes]
-    assert power_along(left, ripple, logs) - 1.0 < 0.1 * (along_it - 1.0)
-
-
-def test_what_is_finer_than_misfit_counts_in_full_whatever_else_differs(random) -> None:
-    """A ripple alone, and beside a force over position that is among the functions of the state."""
-    axes = motions(random)
-    logs = in_logs(axes)
-    left = misfit_of(axes, random)
-    ripple = [0.2 * np.cos(2000.0 * way) for way, _ in axes]
-    both = [one + 0.2 * np.cos(20.0 * way) for one, (way, _) in zip(ripple, axes, strict=True)]
-    alone = ahead_by(left, ripple, logs)
-    assert alone > 0.5 * 0.5 * sum(float(one @ one) for one in ripple)
-    assert ahead_by(left, both, logs) > 0.75 * alone
-
-
-def test_what_gains_in_misfit_and_loses_elsewhere_is_not_ahead(random) -> None:
-    """Coulomb friction for one that falls with speed, with a ripple that is not there."""
-    axes = motions(random)
-    logs = in_logs(axes)
-    lacks = misfit_of(axes, random)
-    coulomb = [np.tanh(speed / 0.05) for _, speed in axes]
-    size = sum(float(f @ e) for f, e in zip(coulomb, lacks, strict=True))
-    size /= sum(float(f @ f) for f in coulomb)
-    change = [size * f for f in coulomb]
-    without_ripple = [e - d for e, d in zip(lacks, change, strict=True)]
-    assert ahead_by(without_ripple, change, logs) > 3.0
-    ripple = [0.2 * np.cos(2000.0 * way) for way, _ in axes]
-    fitted = [e + r for e, r in zip(without_ripple, ripple, strict=True)]
-    both = [d - r for d, r in zip(change, ripple, strict=True)]
-    assert sum(float(e @ e) for e in fitted) < sum(float(e @ e) for e in lacks)
-    assert ahead_by(fitted, both, logs) == 0.0
+    assert power_along(left, ripple, logs).value < 1.5
 
 
 def test_what_differs_from_log_to_log_is_noise(random) -> None:
@@ -161,7 +106,7 @@ def test_what_differs_from_log_to_log_is_noise(random) -> None:
             ],
             change,
             logs,
-        )
+        ).value
         for pairs in (
             [(1.0, one) for one in axes],
             [((-1.0) ** place, one) for place, one in enumerate(axes)],
@@ -172,6 +117,7 @@ def test_what_differs_from_log_to_log_is_noise(random) -> None:
 
 def test_an_axis_that_stands_has_no_misfit() -> None:
     logs = in_logs([(np.zeros(SAMPLES), np.zeros(SAMPLES))])
-    nothing = np.zeros(SAMPLES)
-    assert power_along([np.ones(SAMPLES)], [np.ones(SAMPLES)], logs) == 1.0
-    assert log_likelihood_ratio([np.ones(SAMPLES)], [nothing], logs, 7.0) == 3.5
+    power = power_along([np.ones(SAMPLES)], [np.ones(SAMPLES)], logs)
+    assert power.value == 1.0
+    assert math.isinf(power.freedom)
+    assert power.log_likelihood_ratio(7.0) == 3.5

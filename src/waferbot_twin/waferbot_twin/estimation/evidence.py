@@ -173,7 +173,7 @@ def _beside_misfit(
         left = [ahead[place].left for place in places]
         changes = [ahead[place].change for place in places]
         taken = misfit.taken_by([ahead[place].of_state for place in places])
-        most = [misfit.log_likelihood_ratio(left, changes, logs, squares, taken)]
+        most = [misfit.power_along(left, changes, logs, taken).log_likelihood_ratio(squares)]
         if count:
             power = heterogeneity.power_along(left, changes, logs)
             most.append(power.log_likelihood_ratio(squares, count))

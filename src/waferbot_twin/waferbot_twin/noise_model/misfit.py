@@ -12,15 +12,14 @@ acceleration by direction (`StateFunctions`), as orthonormal columns Q (N, k) ov
 t of the k what was fitted has taken, U its columns (`leverage`). White noise has phi = 1; misfit has as
 much more as its power in each of these directions is: the variance of a Gaussian process over the state,
 of low rank, found from the residual itself (empirical Bayes; for why it has to be there M. Kennedy, A.
-O'Hagan, J. R. Stat. Soc. B 63, 2001). So what is left over has the covariance 1 + (phi - 1) Q Q'. Of
-the squares S by which a change d of the model makes them more, that part counts less which lies among
-these directions and might as well be a part of the misfit, and all of the rest:
+O'Hagan, J. R. Stat. Soc. B 63, 2001). A change d of the model, of which the share
+rho = |Q' d|^2 / |d|^2 lies among these directions, might as well be a part of the misfit: along d there
+is the power
 
-    2 ln L ratio = S - S_Q + S_Q / phi,       S_Q = |Q' (e + d)|^2 - |Q' e|^2,                     (2)
+    lambda = 1 + rho (phi - 1),        known with nu = (k - t) (lambda / (lambda - 1))^2           (2)
 
-with as many degrees of freedom as phi is known by, (k - t) times the square of the whole over S_Q / phi.
-A cause has to gain more among them than what is left over in other directions of its kind would by
-chance (`estimation.evidence`), and what it gains there it must not lose elsewhere.
+degrees of freedom. So a cause has to gain more than what is left over in other directions of its kind
+would by chance (`estimation.evidence`).
 
 Limit: what goes with something else than the state of its own axis, with time or another axis, is noise
 here; so is a ripple that is finer than the functions over position.
@@ -181,32 +180,22 @@ def of_axes(states: Sequence[InLog | None]) -> list[tuple[list[int], list[InLog]
     return list(found.values())
 
 
-def log_likelihood_ratio(
-    left: Sequence[Array],
-    changes: Sequence[Array],
-    logs: Sequence[InLog],
-    squares: float,
-    taken: float = 0.0,
-) -> float:
+def power_along(
+    left: Sequence[Array], changes: Sequence[Array], logs: Sequence[InLog], taken: float = 0.0
+) -> Power:
     """
-    Return what a model is ahead by beside its misfit, equation (2), in the channels of one axis.
+    Return the power of misfit in a direction, equation (2), in the channels of one axis, log by log.
 
-    Log by log `left` and `changes` are e and d, white; `squares` is S, twice by what e + d is less
-    likely in ln L, and `taken` the t of equation (1). 0 of a model that loses elsewhere what it gains in
-    misfit.
+    `left` and `changes` are e and d, white; `taken` is the t of equation (1).
     """
-    among, moved = _along(left, logs), _along(changes, logs)
-    inside = float((2.0 * among + moved) @ moved)
-    excess = _excess(left, logs, taken)
-    if not excess:
-        return 0.5 * squares
-    weighed = inside / (1.0 + excess)
-    total = squares - inside + weighed
-    if total <= 0.0:
-        return 0.0
-    uncertain = (weighed / total) ** 2
-    freedom = (logs[0].count - taken) / uncertain if uncertain else math.inf
-    return Power(1.0, freedom).log_likelihood_ratio(total)
+    square = sum(float(change @ change) for change in changes)
+    if not logs[0].count or square == 0.0:
+        return Power(1.0, math.inf)
+    along = _along(changes, logs)
+    power = 1.0 + _excess(left, logs, taken) * min(float(along @ along) / square, 1.0)
+    if power == 1.0:
+        return Power(1.0, math.inf)
+    return Power(power, (logs[0].count - taken) * (power / (power - 1.0)) ** 2)
 
 
 def covariance_of(
@@ -233,8 +222,8 @@ def _excess(left: Sequence[Array], logs: Sequence[InLog], taken: float) -> float
     count = logs[0].count - taken
     if count < 1.0:  # what is fitted could be all of it
         return 0.0
-    among = _along(left, logs)
-    return max(float(among @ among) / count - 1.0, 0.0)
+    misfit = _along(left, logs)
+    return max(float(misfit @ misfit) / count - 1.0, 0.0)
 
 
 def _along(channels: Sequence[Array], logs: Sequence[InLog]) -> Array:
