@@ -140,6 +140,16 @@ def _factor(s, p, friction, place, time):
 
 
 @compiled
+def by_motor_force(p, friction):
+    """Return whether a friction depends on F_m: in proportion, or by a map over loads."""
+    return (
+        (p['friction_per_motor_force'][friction] != 0.0)
+        | (p['friction_more_when_driven'][friction] != 0.0)
+        | (p['friction_loads'][friction] > 1)
+    )
+
+
+@compiled
 def _motor_force(s, p, friction, mean):
     """
     Return F_m, N or Nm on x; zero where the friction does not depend on it.
@@ -147,11 +157,7 @@ def _motor_force(s, p, friction, mean):
     A motor with open terminals makes no force. What pushes its coordinate from outside then stands for
     it: that is how a plant is driven by measured currents.
     """
-    if (
-        p['friction_per_motor_force'][friction] == 0.0
-        and p['friction_more_when_driven'][friction] == 0.0
-        and p['friction_loads'][friction] == 1
-    ):
+    if not by_motor_force(p, friction):
         return 0.0
     coordinate = p['friction_coordinate'][friction]
     total = 0.0

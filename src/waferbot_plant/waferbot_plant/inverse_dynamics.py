@@ -138,19 +138,6 @@ class InverseDynamics:
 
 
 @compiled
-def _by_motor_force(p):
-    """Return whether any friction depends on what the motors do."""
-    for friction in range(p['frictions']):
-        if (
-            p['friction_per_motor_force'][friction] != 0.0
-            or p['friction_more_when_driven'][friction] != 0.0
-            or p['friction_loads'][friction] > 1
-        ):
-            return True
-    return False
-
-
-@compiled
 def _friction(s, p, position, velocity, motors, found):
     """Fill `found` (coordinates,) with sliding friction against motions, where motors make `motors`."""
     for row in range(len(found)):
@@ -166,16 +153,47 @@ def _friction(s, p, position, velocity, motors, found):
 
 
 @compiled
+def _friction_by_motors(s, p, position, velocity, without, friction):
+    """
+    Fill `friction` (coordinates,) with that which motors meet that need `without` (n,) beside it.
+
+    By Newton's steps; slopes are over a millionth of the force.
+    """
+    size = len(friction)
+    motors, more, beside = np.zeros(size), np.zeros(size), np.zeros(size)
+    # What pushes from outside stands for a motor whose terminals are open.
+    for motor in range(len(s['terminals_open'])):
+        s['terminals_open'][motor] = 1
+    _friction(s, p, position, velocity, motors, friction)
+    for _ in range(MOST_STEPS):
+        missing = 0.0
+        for row in range(size):
+            more[row] = motors[row] + 1e-6 * max(abs(motors[row]), abs(without[row]), 1e-9)
+        _friction(s, p, position, velocity, more, beside)
+        for row in range(size):
+            left = without[row] + friction[row] - motors[row]
+            slope = 1.0 - (beside[row] - friction[row]) / (more[row] - motors[row])
+            motors[row] += left / (slope if slope > 0.0 else 1.0)
+            missing = max(missing, abs(left) / max(abs(motors[row]), 1e-9))
+        _friction(s, p, position, velocity, motors, friction)
+        if missing <= NEAR:
+            break
+    for motor in range(len(s['terminals_open'])):
+        s['terminals_open'][motor] = 0
+
+
+@compiled
 def _needed(state, parameters, position, velocity, acceleration, needed):
     """Fill `needed` (n, coordinates), the generalised forces of the motors, for motions of z."""
     s = state[0]
     p = parameters[0]
     size = position.shape[1]
     plant.find_imperfections(s, p)
-    by_motor_force = _by_motor_force(p)
+    by_motors = False
+    for one in range(p['frictions']):
+        by_motors |= friction_laws.by_motor_force(p, one)
     result, without = np.zeros(size), np.zeros(size)
-    motors, more = np.zeros(size), np.zeros(size)
-    friction, beside = np.zeros(size), np.zeros(size)
+    friction, none = np.zeros(size), np.zeros(size)
     for sample in range(position.shape[0]):
         for row in range(size):
             s['position'][row] = position[sample, row]
@@ -188,25 +206,9 @@ def _needed(state, parameters, position, velocity, acceleration, needed):
             for column in range(row + 1, size):
                 force += s['mass_matrix'][column, row] * acceleration[sample, column]
             without[row] = force
-            motors[row] = 0.0
-        if by_motor_force:  # what pushes from outside stands for a motor whose terminals are open
-            for motor in range(len(s['terminals_open'])):
-                s['terminals_open'][motor] = 1
-        _friction(s, p, position[sample], velocity[sample], motors, friction)
-        for _ in range(MOST_STEPS if by_motor_force else 0):
-            missing = 0.0
-            for row in range(size):
-                more[row] = motors[row] + 1e-6 * max(abs(motors[row]), abs(without[row]), 1e-9)
-            _friction(s, p, position[sample], velocity[sample], more, beside)
-            for row in range(size):
-                left = without[row] + friction[row] - motors[row]
-                slope = 1.0 - (beside[row] - friction[row]) / (more[row] - motors[row])
-                motors[row] += left / (slope if slope > 0.0 else 1.0)
-                missing = max(missing, abs(left) / max(abs(motors[row]), 1e-9))
-            _friction(s, p, position[sample], velocity[sample], motors, friction)
-            if missing <= NEAR:
-                break
-        for motor in range(len(s['terminals_open']) if by_motor_force else 0):
-            s['terminals_open'][motor] = 0
+        if by_motors:
+            _friction_by_motors(s, p, position[sample], velocity[sample], without, friction)
+        else:
+            _friction(s, p, position[sample], velocity[sample], none, friction)
         for row in range(size):
             needed[sample, row] = without[row] + friction[row]

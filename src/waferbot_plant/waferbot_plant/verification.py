@@ -30,10 +30,14 @@ DRIVING_VOLTAGE_V = (60.0, 60.0, 20.0)
 DRIVING_RAD_PER_TICK = 1e-3
 """Amplitudes and (times 2, 3, 4) turning rate of the voltages that drive the energy check."""
 
-FREE_SPEEDS = (0.05, 2.0, 3.0)
 DRIVING_CURRENT_A = 3.0
-FREE_SPEED_OF_UNIT = {'m': 0.05, 'rad': 0.5}
+"""The current that voltages would drive through a winding at rest, where another machine is checked."""
+
+FREE_SPEEDS = (0.05, 2.0, 3.0)
 """Speeds of the axes when they are let go without losses, m/s and rad/s."""
+
+FREE_SPEED_OF_UNIT = {'m': 0.05, 'rad': 0.5}
+"""Those of the axes of another machine, m/s or rad/s, by their unit."""
 
 
 def open_loop_differences(machine: Machine, current: float = 1.0) -> dict[str, float]:

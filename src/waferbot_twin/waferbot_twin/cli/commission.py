@@ -46,7 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='how far they may take an axis, m or rad; negative: the other way (default: as far as '
         'those of the shipped machine)',
     )  # fmt: skip
-    parser.add_argument('--force', action='store_true', help='replace the file at --out')
+    parser.add_argument(
+        '--force', action='store_true', help='replace what is at --out and at --experiments'
+    )
     parser.add_argument('--json', action='store_true', help='print the settings as JSON')
 
 
