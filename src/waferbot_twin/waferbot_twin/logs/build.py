@@ -18,6 +18,7 @@ from waferbot_twin.logs.hold import with_hold
 from waferbot_twin.logs.kinds import DRIVES
 from waferbot_twin.logs.mapping import LogMapping, SignalSource, TimeSource
 from waferbot_twin.logs.measured import MeasuredLog, Signal
+from waferbot_twin.logs.repeated_rows import without_repeated_rows
 from waferbot_twin.logs.timebase import in_order, median_step_s, unwrap
 from waferbot_twin.logs.units import COUNT_UNITS, TIME_UNITS
 
@@ -86,6 +87,9 @@ def build(mapping: LogMapping, log: Columns, companion: Columns | None) -> Colle
     if outside:
         reason = f'{max(outside.values())} samples are outside start_s and end_s, as wished'
         collected.findings.append(Finding(', '.join(outside), reason, 'note'))
+    wish = mapping.options.get('repeated_rows', '')
+    at_readings = without_repeated_rows(collected.signals, wish, collected.findings)
+    collected.signals = [with_hold(signal, collected.findings) for signal in at_readings]
     return collected
 
 
@@ -223,7 +227,7 @@ def _signal(
     )
     if signal is None:
         return None
-    signal = with_hold(replace(signal, hold=source.hold), findings)
+    signal = replace(signal, hold=source.hold)
     counting = source.counting or (
         mapping.machine.counting(source.axis, source.kind) if mapping.machine else ''
     )

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from waferbot_twin.logs.alignment import Skew, skew
 from waferbot_twin.logs.findings import Finding
@@ -41,7 +42,11 @@ LONG_RUN = 5
 def repeats(signal: Signal) -> int:
     """Return how many samples a value of a signal usually stands for; 1 where it shows no hold."""
     changes = np.flatnonzero(np.diff(signal.value) != 0.0)
-    runs = np.diff(changes)
+    return run_length(np.diff(changes))
+
+
+def run_length(runs: NDArray[np.intp]) -> int:
+    """Return the length of which nearly all runs of equal values (n,) are multiples; 1 if none is."""
     if len(runs) < FEWEST_RUNS:
         return 1
     length = int(np.median(runs))
