@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 
@@ -23,6 +24,11 @@ def significant(value: float | None, digits: int = 4) -> str:
     if value is None or not abs(value) < float('inf'):
         return '-'
     return f'{value:.{digits}g}'
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names in a sentence: "a", "a and b", "a, b and c"."""
+    return ' and '.join([*filter(None, [', '.join(names[:-1])]), *names[-1:]])
 
 
 PREFIXES = ((1.0, ''), (1e3, 'm'), (1e6, 'µ'), (1e9, 'n'), (1e12, 'p'))

@@ -276,6 +276,57 @@ def test_what_cannot_be_told_apart_is_left_open(random) -> None:
     assert values(found)['coulomb'] + values(found)['offset'] == pytest.approx(17.0, abs=1.5)
 
 
+TIME_S = np.arange(0.0, 20.0, STEP_S)
+SWING = 0.3 * np.sin(2.0 * np.pi * 0.3 * TIME_S)
+FORWARDS = {
+    'from rest to a constant speed': np.clip(np.minimum(TIME_S - 1.0, 3.0), 0.0, None) / 10.0,
+    'up and down from rest': np.clip(np.minimum(TIME_S - 1.0, 15.0 - TIME_S), 0.0, 4.0) / 10.0,
+    'stop and go': np.clip(SWING, 0.0, None),
+    'short rests': np.clip(SWING + 0.28, 0.0, None),
+}
+BOTH_WAYS = {
+    'there and back': SWING,
+    'a moment back': 0.3
+    + 0.08 * np.sin(2.5 * TIME_S)
+    - 0.6 * np.exp(-(((TIME_S - 10.0) / 0.4) ** 2)),
+}
+
+
+def moved(speed, random):
+    """Return the stretch of a mass that moves at these speeds, its position in steps of 1 um."""
+    acceleration = np.gradient(speed, STEP_S)
+    force = MASS * acceleration + VISCOUS * speed + COULOMB * np.sign(speed) + OFFSET
+    position = 1e-6 * np.round(np.cumsum(speed) * STEP_S / 1e-6)
+    return Stretch(STEP_S, position, force + 0.3 * random.standard_normal(len(speed)), 1e-6)
+
+
+@pytest.mark.parametrize('name', FORWARDS)
+def test_a_motion_in_one_direction_leaves_friction_and_offset_open(random, name) -> None:
+    """How the filter settles beside a rest is not what tells them apart."""
+    found, _, _ = estimate([moved(FORWARDS[name], random)])
+    left_open = {n for n, known in zip(found.names, found.determined, strict=True) if not known}
+    assert left_open == {'coulomb', 'offset'}
+    assert values(found)['inertia'] == pytest.approx(MASS, rel=0.03)
+    assert values(found)['viscous'] == pytest.approx(VISCOUS, rel=0.05)
+    assert values(found)['coulomb'] + values(found)['offset'] == pytest.approx(17.0, rel=0.05)
+
+
+@pytest.mark.parametrize('name', BOTH_WAYS)
+def test_a_moment_in_the_other_direction_tells_friction_and_offset_apart(random, name) -> None:
+    found, _, _ = estimate([moved(BOTH_WAYS[name], random)])
+    assert found.determined.all()
+    assert values(found)['coulomb'] == pytest.approx(COULOMB, rel=0.05)
+    assert values(found)['offset'] == pytest.approx(OFFSET, abs=1.0)
+
+
+def test_one_speed_both_ways_leaves_the_kind_of_friction_open(random) -> None:
+    speed = 0.3 * np.sign(np.sin(2.0 * np.pi * 0.2 * TIME_S))
+    found, _, _ = estimate([moved(speed, random)])
+    left_open = {n for n, known in zip(found.names, found.determined, strict=True) if not known}
+    assert left_open == {'viscous', 'coulomb'}
+    assert values(found)['offset'] == pytest.approx(OFFSET, abs=1.0)
+
+
 def test_rest_is_left_out_and_says_nothing(random) -> None:
     """A force of any size while the axis stands does not change a thing."""
     angle = 2.0 * np.pi * np.arange(0.0, 10.0, STEP_S)  # 1 Hz, and then it stands

@@ -96,6 +96,24 @@ def test_current_needs_a_model_for_newtons_and_none_for_amperes(tmp_path, capsys
     assert coefficients(json.loads(capsys.readouterr().out)) == pytest.approx(EXPECTED, rel=0.02)
 
 
+def test_what_a_motion_does_not_tell_is_said_with_what_would(tmp_path, capsys) -> None:
+    """From rest, forwards alone: one force, of which Coulomb friction and offset may be any part."""
+    time_s = np.arange(0.0, 12.0, 1e-3)
+    speed = 0.1 * np.clip(np.minimum(time_s - 1.0, 11.0 - time_s), 0.0, 3.0)
+    force = MASS * np.gradient(speed, time_s) + VISCOUS * speed + COULOMB * np.sign(speed) + OFFSET
+    force += 0.2 * np.random.default_rng(5).standard_normal(len(time_s))
+    position = 1e-6 * np.round(np.cumsum(speed) * 1e-3 / 1e-6)
+    signals = (
+        Signal('position', 'y_linear', 'm', time_s, position, 1e-6),
+        Signal('force', 'y_linear', 'N', time_s, force),
+    )
+    write_archive(MeasuredLog('forwards', signals), tmp_path / 'forwards')
+    assert main(['identify', str(tmp_path / 'forwards'), '--method', 'least-squares']) == 0
+    said = capsys.readouterr().out
+    assert len(re.findall(r'(Coulomb friction|offset) +left open', said)) == 2
+    assert 'does not tell Coulomb friction and offset apart: left open; give logs that' in said
+
+
 def test_a_skew_of_the_logger_is_taken_out_and_gaps_are_not_bridged() -> None:
     logs = [log_of(seed, f'log {seed}', late_s=3e-3, hole=seed == 1) for seed in (1, 2)]
     result = identify_by_least_squares(logs, [], None)

@@ -27,13 +27,19 @@ as white, its level from the upper half of its spectrum or from its resolution (
 is larger; f_c is at most the frequency at which that share is `NOISE_SHARE`, half a percent. And (1) is
 a rigid axis: near the first resonance it no longer is, and a position that is read late is late there
 most. So halves, quarters, ... of that frequency are tried, down to the band of the motion and of the
-sines that are asked for, as long as two periods are left for each coefficient, and more of the
-acceleration tells the inertia than may be noise. Of those whose inertia agrees, within 95 % intervals,
-with that of every lower one (Lepski's rule: bias shows as a drift), f_c is the highest with an interval
-no more than a quarter wider than the narrowest.
+sines that are asked for, as long as two periods are left for each coefficient, no coefficient is left
+open that was not, and more of the acceleration tells the inertia than may be noise. Of those whose
+inertia agrees, within 95 % intervals, with that of every lower one (Lepski's rule: bias shows as a
+drift), f_c is the highest with an interval no more than a quarter wider than the narrowest.
 
 **Dead zone.** At rest dry friction is any force up to c, so samples there say nothing and are left out:
-those with a speed below four standard deviations of its noise, or below what is asked for.
+those with a speed below four standard deviations of its noise, or below what is asked for, and those of
+a position that stays within its noise for two periods of the cut-off.
+
+**What is not told.** Filter and differences give the regressors to some 0.1 %, so a combination of
+coefficients that the (scaled) regressors show a hundred times less than another one, a condition index
+above 100, is told by those errors alone. It is left open: sign(q') and the constant of f_0 after a
+motion in one direction differ only by how the filter settles where it began.
 
 **Intervals.** What (1) lacks comes back with every motion, so residuals e are far from independent, and
 the usual formula gives intervals many times too narrow. The covariance is the sandwich
@@ -48,7 +54,8 @@ intervals of the best wrong model.
 Sources: M. Gautier, A. Janot, P.-O. Vandanjon, A new closed-loop output error method for parameter
 identification of robot dynamics, IEEE Trans. Control Syst. Technol. 21 (2013), the reference method of
 section II; O. V. Lepski, Theory Probab. Appl. 35 (1990); W. A. Fuller, Measurement Error Models, 1987,
-section 1.1 (attenuation); E. Lazarus, D. J. Lewis, J. H. Stock, M. W. Watson, HAR inference:
+section 1.1 (attenuation); D. A. Belsley, E. Kuh, R. E. Welsch, Regression Diagnostics, 1980, section 3.2
+(condition indices); E. Lazarus, D. J. Lewis, J. H. Stock, M. W. Watson, HAR inference:
 recommendations for practice, J. Bus. Econ. Stat. 36 (2018) (cosine transforms, their number); D. W. K.
 Andrews, Econometrica 59 (1991) (sandwich).
 """
@@ -62,7 +69,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
-from scipy.ndimage import binary_dilation, binary_opening
+from scipy.ndimage import binary_dilation, binary_opening, maximum_filter1d, minimum_filter1d
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import t as student
 
@@ -97,8 +104,11 @@ AT_REST = 4.0
 FEWEST_TRANSFORMS = 4
 """Cosine transforms at least."""
 
-COLLINEAR = 1e-7
+COLLINEAR = 0.01
 """Singular value, over the largest, below which a combination of coefficients is not determined."""
+
+INVOLVED = 0.1
+"""Part of a coefficient in such a combination, from which on it is not determined either."""
 
 FEWEST_PERIODS, FOR_EACH, OF_MOTION = 5.0, 2.0, 0.99
 """
@@ -348,7 +358,7 @@ def filtered(
         columns[f'cosine_{place}'] = low_pass(np.cos(number * stretch.position))
         columns[f'sine_{place}'] = low_pass(np.sin(number * stretch.position))
     # Beside a long rest the filter carries over what holds the axis there; a reversal is no rest.
-    resting = binary_opening(rest, np.ones(settling))
+    resting = binary_opening(rest, np.ones(settling)) | standing(stretch, 2 * settling + 1)
     moving = ~rest & ~binary_dilation(resting, np.ones(2 * settling + 1))
     moving[:settling] = moving[-settling:] = False
     keep = slice(None, None, max(1, int(rate_hz / (KEPT_PER_CUT_OFF * cut_off_hz))))
@@ -360,6 +370,20 @@ def filtered(
         moving[keep],
         step_s * (keep.step or 1),
     )
+
+
+def standing(stretch: Stretch, samples: int) -> NDArray[np.bool_]:
+    """
+    Return where the position (N,) stays within its noise for so many samples on end, an odd number.
+
+    The filtered speed does not show it: before a start and behind a stop the filter swings both ways.
+    """
+    q = stretch.position
+    path = maximum_filter1d(q, samples, mode='nearest') - minimum_filter1d(
+        q, samples, mode='nearest'
+    )
+    stays = path <= 2.0 * AT_REST * position_noise(stretch)
+    return np.asarray(binary_dilation(stays, np.ones(samples)))
 
 
 def joined(parts: Sequence[Filtered]) -> tuple[dict[str, Array], Array]:
@@ -398,7 +422,7 @@ def least_squares(
     usable = singular > COLLINEAR * singular[0]
     inverse = np.where(usable, 1.0 / np.where(usable, singular, 1.0), 0.0)
     value = (turned.T * inverse) @ (left.T @ right) / scale
-    undetermined = np.abs(turned[~usable]).max(axis=0, initial=0.0) > 1e-3
+    undetermined = np.abs(turned[~usable]).max(axis=0, initial=0.0) > INVOLVED
     scores = (right - matrix @ value)[:, None] * left
     spectrum, degrees = spectrum_at_zero(scores)
     half = turned.T * inverse
@@ -463,7 +487,12 @@ def estimate(
     )
     while 0.5 * tried[-1] >= lowest:
         lower_hz = 0.5 * tried[-1]
-        lower = _estimate_at(stretches, terms, lower_hz, dead_zone)
+        try:
+            lower = _estimate_at(stretches, terms, lower_hz, dead_zone)
+        except UserError:
+            break  # nothing moves for long enough
+        if np.any(fits[-1][0].determined & ~lower[0].determined):
+            break
         if len(tried) == 1 and attenuation(stretches, tried[0], fits[0][0]) > NOISE_SHARE:
             tried, fits = [], []
         elif lower[0].told[lower[0].names.index('inertia')] < NOISE_SHARE:

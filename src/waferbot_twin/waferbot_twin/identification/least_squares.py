@@ -40,16 +40,15 @@ from waferbot_twin.estimation.residual_curves import (
     binned_means,
     position_spectrum,
 )
+from waferbot_twin.identification.coefficient_names import coefficient_name
 from waferbot_twin.logs.alignment import common_skew
 from waferbot_twin.logs.kinds import axes_in_order
 from waferbot_twin.logs.measured import MeasuredLog, Signal
 from waferbot_twin.logs.pauses import with_short_pauses
 from waferbot_twin.logs.timebase import median_step_s
 from waferbot_twin.noise_model.motion_basis import MOVES
+from waferbot_twin.plain_values import listed
 from waferbot_twin.residuals.from_measured_log import amperes_per_unit, drive_of
-
-IN_WORDS = {'viscous': 'viscous friction', 'coulomb': 'Coulomb friction', 'inertia': 'inertia'}
-"""Coefficients as a reader knows them."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +220,7 @@ def _fit(
             parts += filtered
     fitted_names = {log.name for log in mine}
     residual, speed, position, without_inertia = _left_over(parts, coefficients)
-    notes += _doubts(coefficients)
+    notes += _doubts(coefficients, length_unit, terms)
     return AxisFit(
         axis, force_unit, length_unit, signals[0][1].kind, coefficients, terms, cut_off_hz, share,
         tuple(one for one in errors if one.log in fitted_names),
@@ -354,25 +353,29 @@ def _left_over(
     return residual, speed, position, force
 
 
-def _doubts(coefficients: Estimate) -> list[str]:
+def _doubts(coefficients: Estimate, length_unit: str, terms: Terms) -> list[str]:
     """Return what the reader of the values must know."""
+    names = {
+        name: coefficient_name(name, length_unit, terms.wave_numbers)
+        for name in coefficients.names
+    }
     left_open = [
-        IN_WORDS.get(name, name)
+        names[name]
         for name, known in zip(coefficients.names, coefficients.determined, strict=True)
         if not known
     ]
     notes = []
     if left_open:
         notes.append(
-            f'{" and ".join(left_open)} cannot be told apart in these logs (a motion in one direction, '
-            'at one speed, or without acceleration)'
+            f'the motion in these logs does not tell {listed(left_open)} apart: left open; give logs '
+            'that move both ways, at several speeds and with acceleration'
         )
     for name in ('inertia', 'viscous', 'coulomb'):
         if name in coefficients.names:
             place = coefficients.names.index(name)
             if coefficients.high95[place] < 0.0:
                 notes.append(
-                    f'{IN_WORDS[name]} is negative, which it cannot be: the model lacks something, '
+                    f'{names[name]} is negative, which it cannot be: the model lacks something, '
                     'or the sign of the drive is wrong'
                 )
     return notes

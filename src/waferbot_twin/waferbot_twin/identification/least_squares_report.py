@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from waferbot_twin.estimation.residual_curves import BinnedMeans
 from waferbot_twin.html_page import html_page, picture
+from waferbot_twin.identification.coefficient_names import coefficient_name
 from waferbot_twin.identification.least_squares import AxisFit, LeastSquares, LogError
 from waferbot_twin.plain_values import finite, significant
 from waferbot_twin.recording.writer import as_json
@@ -43,25 +44,7 @@ def unit_of(name: str, fit: AxisFit) -> str:
 
 def label_of(name: str, fit: AxisFit) -> str:
     """Return a coefficient's name as a reader knows it."""
-    kind, _, place = name.partition('_')
-    if kind in ('sine', 'cosine'):
-        return f'{kind}, {_wave_text(fit.terms.wave_numbers[int(place) - 1], fit)}'
-    names = {
-        'inertia': 'mass' if fit.length_unit == 'm' else 'inertia',
-        'viscous': 'viscous friction',
-        'viscous_forward': 'viscous friction forwards',
-        'viscous_backward': 'viscous friction backwards',
-        'coulomb': 'Coulomb friction',
-        'rise': 'more of it at rest',
-    }
-    return names.get(name, name)
-
-
-def _wave_text(wave_number: float, fit: AxisFit) -> str:
-    """Return a wave number (rad per m or rad) as a period in mm, or as an order per turn."""
-    if fit.length_unit == 'm':
-        return f'period {2e3 * math.pi / wave_number:.4g} mm'
-    return f'{wave_number:.4g} per turn'
+    return coefficient_name(name, fit.length_unit, fit.terms.wave_numbers)
 
 
 def as_dict(result: LeastSquares) -> dict[str, Any]:

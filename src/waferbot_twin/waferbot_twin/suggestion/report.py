@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from waferbot_twin.plain_values import finite, significant
+from waferbot_twin.plain_values import finite, listed, significant
 from waferbot_twin.recording.writer import as_json
 from waferbot_twin.suggestion.separation import TELLS_APART
 from waferbot_twin.suggestion.suggest import Rated, Suggestion
@@ -24,7 +23,7 @@ def sentence(found: Suggestion) -> str:
     counted = f'2 ln L = {{:.0f}} is expected, {TELLS_APART:.0f} is needed'
     if found.best is None:
         said += [
-            f'No experiment tells all of {_enumerated(names)} apart.',
+            f'No experiment tells all of {listed(names)} apart.',
             *(
                 f'{found.best_for(pair).candidate.label} tells {pair[0]} from {pair[1]} best: '
                 f'{counted.format(found.best_for(pair).evidence((pair,)))}.'
@@ -35,7 +34,7 @@ def sentence(found: Suggestion) -> str:
         what = 'whatever can be told apart of ' if found.imitated else ''
         apart = '' if found.imitated else ' apart'
         said.append(
-            f'{found.best.candidate.label} tells {what}{_enumerated(names)}{apart} best: '
+            f'{found.best.candidate.label} tells {what}{listed(names)}{apart} best: '
             f'{counted.format(found.best.evidence(found.told))}.'
         )
     for special in dict.fromkeys(pair[0] for pair in found.imitated):
@@ -44,7 +43,7 @@ def sentence(found: Suggestion) -> str:
         more = [name for name in generals if name not in same]
         if more:
             said.append(
-                f'{_enumerated(more)} can do whatever {special} does: no experiment shows that '
+                f'{listed(more)} can do whatever {special} does: no experiment shows that '
                 f'{special} is the cause. If nothing else shows, take it as the simpler one.'
             )
         said += [
@@ -57,7 +56,7 @@ def sentence(found: Suggestion) -> str:
 
 def _equivalent(found: Suggestion) -> str:
     text = (
-        f'{_enumerated([cause.name for cause in found.causes])} are equivalent for every motion '
+        f'{listed([cause.name for cause in found.causes])} are equivalent for every motion '
         f'that was tried: {len(found.rated)} experiments.'
     )
     if found.instead:
@@ -67,10 +66,6 @@ def _equivalent(found: Suggestion) -> str:
 
 def _instead(found: Suggestion) -> list[str]:
     return [f'{"Or" if place else "Instead,"} {line}.' for place, line in enumerate(found.instead)]
-
-
-def _enumerated(names: Sequence[str]) -> str:
-    return ' and '.join([*filter(None, [', '.join(names[:-1])]), names[-1]])
 
 
 def as_dict(found: Suggestion) -> dict[str, Any]:
