@@ -93,6 +93,19 @@ def test_joint_states_need_no_mapping(tmp_path, plugin) -> None:
     assert not log.findings
 
 
+@pytest.mark.parametrize('given', ['folder', 'file'])
+def test_a_database_without_metadata_is_told_how_to_get_it(tmp_path, given) -> None:
+    bag = joint_states(tmp_path / 'bag', plugin=StoragePlugin.SQLITE3)
+    (bag / 'metadata.yaml').unlink()
+    with pytest.raises(UserError) as told:
+        load_log(bag if given == 'folder' else bag / 'bag.db3')
+    assert 'bag.db3: metadata.yaml is missing' in str(told.value)
+    assert f'ros2 bag reindex -s sqlite3 {bag}' in str(told.value)
+    (bag / 'metadata.yaml').write_text('')
+    with pytest.raises(UserError, match=f'delete it.*ros2 bag reindex {bag}'):
+        load_log(bag)
+
+
 def test_joints_by_the_names_of_a_description(tmp_path) -> None:
     bag = joint_states(tmp_path / 'bag', ('spare', 'pendulum_angle'))
     with pytest.raises(UserError, match='no joint state of an axis'):

@@ -37,7 +37,13 @@ from waferbot_twin.logs.kinds import KINDS, UNITS, is_linear
 from waferbot_twin.logs.machine import Machine
 from waferbot_twin.logs.mapping import SignalSource
 from waferbot_twin.logs.units import UNITS_IN_LOGS
-from waferbot_twin.recording.reader import Content, read_content, recording_files
+from waferbot_twin.recording.reader import (
+    METADATA,
+    Content,
+    read_content,
+    recording_files,
+    without_metadata,
+)
 
 JOINT_STATE = 'sensor_msgs/msg/JointState'
 LATE_NS = 10**6 * NANOSECONDS_PER_SECOND
@@ -60,6 +66,8 @@ def read_bag(path: Path) -> Content:
     if all(file.suffix == '.mcap' for file in files):
         return read_content(files)
     folder = path if path.is_dir() else path.parent
+    if not (folder / METADATA).exists():
+        raise without_metadata(files[0])
     content = Content(closed=True)
     try:
         with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:

@@ -33,6 +33,10 @@ from waferbot_twin.recording.chunks import ChunkReader, Messages, one_message, p
 
 _LATEST_NS = 2**63 - 1
 
+METADATA = 'metadata.yaml'
+REINDEX = 'ros2 bag reindex -s sqlite3'
+"""What writes the metadata of a rosbag2 database anew."""
+
 Take = Callable[[str, Messages], None]
 """Called with a topic and the next of its messages."""
 
@@ -159,17 +163,29 @@ def recording_files(path: Path) -> list[Path]:
         raise UserError(f'{path} does not exist')
     if path.is_file():
         return [path]
-    metadata = path / 'metadata.yaml'
+    metadata = path / METADATA
     names: list[str] = []
     if metadata.exists():
         names = _named_files(metadata)
     files = [path / name for name in names] or sorted(path.glob('*.mcap'))
     if not files:
+        databases = sorted(path.glob('*.db3*'))
+        if databases:
+            raise without_metadata(databases[0])
         raise UserError(f'{path} holds no recording (no metadata.yaml, no .mcap file)')
     for file in files:
         if not file.exists():
             raise UserError(f'{file} is named in {metadata} but does not exist')
     return files
+
+
+def without_metadata(database: Path) -> UserError:
+    """Return what to say of a database whose folder has no metadata.yaml, as after a crash."""
+    folder = database.parent.absolute()
+    return UserError(
+        f'{database}: {METADATA} is missing beside it, as after a recording that was broken off; have '
+        f'it written by: {REINDEX} {folder} (a folder with nothing but the files of this recording)'
+    )
 
 
 def _named_files(metadata: Path) -> list[str]:
@@ -179,7 +195,10 @@ def _named_files(metadata: Path) -> list[str]:
         names = content['rosbag2_bagfile_information']['relative_file_paths']
     # ValueError: no UTF-8, or a date such as 2000-99-99
     except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise UserError(f'{metadata}: not a rosbag2 metadata file ({error!r})') from None
+        raise UserError(
+            f'{metadata}: not a rosbag2 metadata file ({error!r}); delete it, and have it written '
+            f'anew by: ros2 bag reindex {metadata.parent.absolute()}'
+        ) from None
     if not isinstance(names, list) or not all(
         isinstance(name, str) and name and '\0' not in name for name in names
     ):
