@@ -60,6 +60,16 @@ def test_too_little_to_tell_from(capsys, clock):
     assert lines_of(capsys, clock, [(3.0, done, 1000) for done in range(10)]) == []
 
 
+def test_what_takes_twice_as_long_as_was_said_is_said_anew(capsys, clock):
+    """Steps of 1 s that become steps of 10 s: the second estimate is that of the long ones."""
+    reports = [(1.0, done, 100) for done in range(5)]
+    reports += [(10.0, done, 100) for done in range(5, 101)]
+    assert lines_of(capsys, clock, reports) == [
+        'searching: about 98 s left',
+        'searching: about 12 min left',
+    ]
+
+
 def test_the_end_is_no_news(capsys, clock):
     assert lines_of(capsys, clock, [(5.0, 1, 2), (60.0, 2, 2)]) == []
 
@@ -73,8 +83,8 @@ def test_every_stage_has_its_line_once(capsys, clock):
                     progress(stage, done, 10)
         progress('judging', 1, 1)
     assert capsys.readouterr().err.splitlines() == [
-        'diagnosis, screening: about 8 s left',
-        'diagnosis, fitting: about 8 s left',
+        'diagnosis, screening: about 8 s left of this stage',
+        'diagnosis, fitting: about 8 s left of this stage',
     ]
 
 

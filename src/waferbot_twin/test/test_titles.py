@@ -28,3 +28,11 @@ def test_a_title_that_names_another_axis_is_not_said_anew():
     titles = {**USUAL_TITLES, 'y_linear': r'lift of x_rotate \1'}
     said = with_titles('y_linear.force and x_rotate', titles)
     assert said == r'lift of x_rotate \1 force and X-Rotate'
+
+
+def test_what_is_said_already_is_not_said_anew():
+    """A title with the name of its own axis in it, and axes that are called by their names."""
+    titles = {'arm': 'upper arm (left)', 'elbow': 'elbow'}
+    said = with_titles('elbow.force: arm moves as well', titles)
+    assert said == 'elbow force: upper arm (left) moves as well'
+    assert with_titles(said, titles) == said

@@ -19,11 +19,17 @@ def finite(value: Any) -> Any:
     return value
 
 
+PLAIN_BELOW = 1e7
+"""Numbers below this are written without an exponent: 710, not 7.1e+02."""
+
+
 def significant(value: float | None, digits: int = 4) -> str:
     """Return a number with so many significant digits; a dash where there is none."""
     if value is None or not abs(value) < float('inf'):
         return '-'
-    return f'{value:.{digits}g}'
+    text = f'{value:.{digits}g}'
+    rounded = float(text)
+    return f'{rounded:.0f}' if 'e+' in text and abs(rounded) < PLAIN_BELOW else text
 
 
 def listed(names: Sequence[str]) -> str:

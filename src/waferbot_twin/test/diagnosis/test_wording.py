@@ -116,6 +116,27 @@ def test_says_how_much_of_the_error_is_left(nominal, errors, said):
     assert told.endswith('unexplained.')
 
 
+@pytest.mark.parametrize(
+    ('named', 'possible', 'said'),
+    [
+        (1, 0, ''),
+        (2, 0, '; 1 more named'),
+        (1, 2, '; 2 possible'),
+        (4, 1, '; 3 more named, 1 possible'),
+    ],
+)
+def test_counts_what_has_a_name_and_what_is_only_possible(nominal, named, possible, said):
+    causes, others = ([found(nominal, friction(), 0.97)] * number for number in (named, possible))
+    assert sentence(diagnosis(nominal, causes, possible=others)).endswith(
+        f'beyond doubt (probability 0.97){said}.'
+    )
+
+
+def test_a_size_above_100_percent_has_no_exponent(nominal):
+    told = sentence(diagnosis(nominal, [found(nominal, friction(300.0))]))
+    assert re.search(r'\(300 Nm, \d{4,} % of rated torque\)', told)
+
+
 def test_a_size_on_its_bound_or_not_told_is_not_said(nominal):
     cause = found(nominal, friction())
     told = replace(cause, intervals_95={'friction': (-2.0, 5.0)})

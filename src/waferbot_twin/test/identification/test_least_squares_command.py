@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -112,6 +113,19 @@ def test_what_a_motion_does_not_tell_is_said_with_what_would(tmp_path, capsys) -
     said = capsys.readouterr().out
     assert len(re.findall(r'(Coulomb friction|offset) +left open', said)) == 2
     assert 'does not tell Coulomb friction and offset apart: left open; give logs that' in said
+
+
+def test_an_axis_that_cannot_be_fitted_is_said_by_its_own_name_alone(tmp_path, capsys) -> None:
+    """Axes of its own: the same name in table, errors and notes; what fails is no note of another."""
+    moves = [replace(signal, axis='elbow') for signal in log_of(1, late_s=4e-3).signals]
+    stands = [
+        replace(signal, axis='wrist', value=0.0 * signal.value) for signal in log_of(2).signals
+    ]
+    write_archive(MeasuredLog('both', (*moves, *stands)), tmp_path / 'both')
+    assert main(['identify', str(tmp_path / 'both'), '--method', 'least-squares']) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert any(line.startswith('Elbow: Elbow force stands ') for line in said)
+    assert any(line.startswith('Wrist: the axis never moves') for line in said)
 
 
 def test_a_skew_of_the_logger_is_taken_out_and_gaps_are_not_bridged() -> None:

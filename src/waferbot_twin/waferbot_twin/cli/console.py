@@ -29,6 +29,9 @@ QUIET_S = 2.0
 LEAST_SHARE = 0.01
 """Share that must be done before a remaining time is told."""
 
+LATE = 2.0
+"""How many times what was said it may take before it is said anew."""
+
 error_console = Console(stderr=True, highlight=False, markup=False)
 
 
@@ -91,7 +94,9 @@ def progress_of_stages(what: str) -> Iterator[Callable[[str, int, int], None]]:
 
         def tell(stage: str, done: int, total: int) -> None:
             if stage not in lines:
-                lines[stage] = _progress_line(_named(what, stage))
+                lines[stage] = _progress_line(
+                    _named(what, stage), ' of this stage' if stage else ''
+                )
             lines[stage](done, total)
 
         yield tell
@@ -131,26 +136,30 @@ def _named(what: str, stage: str) -> str:
     return f'{what}, {stage}' if stage else what
 
 
-def _progress_line(what: str) -> Callable[[int, int], None]:
+def _progress_line(what: str, of_what: str = '') -> Callable[[int, int], None]:
     """
-    Return a function (done, total) that says once how long it will still take.
+    Return a function (done, total) that says once how long it will still take, `of_what`.
 
     Counted from where `done` begins to rise: before that, something was compiled or started. One in
-    a hundred must be done, so that the estimate is worth something.
+    a hundred must be done, so that the estimate is worth something. Where steps get longer and it takes
+    twice what was said, it says it again, from the steps since; not of what begins anew.
     """
     first: tuple[float, int] | None = None
-    told = False
+    again_s = 0.0
 
     def show(done: int, total: int) -> None:
-        nonlocal first, told
+        nonlocal first, again_s
         now_s = time.monotonic()
+        if first is not None and done < first[1] and again_s:
+            again_s = math.inf  # it has begun anew
         if first is None or done <= first[1]:
             first = (now_s, done)
         elapsed_s, more = now_s - first[0], done - first[1]
-        if told or elapsed_s < QUIET_S or more < LEAST_SHARE * total or done >= total:
+        if now_s < again_s or elapsed_s < QUIET_S or more < LEAST_SHARE * total or done >= total:
             return
-        told = True
-        say(f'{what}: about {in_words(elapsed_s * (total - done) / more)} left')
+        left_s = elapsed_s * (total - done) / more
+        first, again_s = (now_s, done), now_s + LATE * left_s
+        say(f'{what}: about {in_words(left_s)} left{of_what}')
 
     return show
 

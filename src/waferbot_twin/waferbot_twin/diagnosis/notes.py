@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from waferbot_twin.diagnosis.wording import metres_per_count, title
 from waferbot_twin.effects import find
 from waferbot_twin.effects.variant import Variant
-from waferbot_twin.plain_values import with_prefix
+from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.residuals.problem import Cause
 from waferbot_twin.residuals.record import Record
 
@@ -77,7 +77,7 @@ def in_windows(
         axis = record.layout.axis_of(channel)
         per_count, unit = metres_per_count(nominal, axis)
         factor, unit = with_prefix(max(both) * per_count, unit)
-        inside, outside = (f'{factor * per_count * value:.3g}' for value in both)
+        inside, outside = (significant(factor * per_count * value, 3) for value in both)
         said += (
             f'; the extended model leaves over {inside} {unit} RMS there on {nominal.titles[axis]}, '
             f'and {outside} {unit} in the rest'

@@ -197,7 +197,7 @@ def reference_remarks(reference: LeastSquares) -> list[str]:
     errors = [
         f'{reference.titles[fit.axis]} in {one.log}'
         f'{"" if one in fit.fitted else " (not used for the fit)"}: '
-        f'{100.0 * one.relative:.3g} % of the force is left, RMS {significant(one.rms, 3)} '
+        f'{significant(100.0 * one.relative, 3)} % of the force is left, RMS {significant(one.rms, 3)} '
         f'{fit.force_unit}{_of_models(one)}'
         for fit in reference.fits
         for one in (*fit.fitted, *fit.validation)
@@ -209,7 +209,7 @@ def _of_models(error: LogError) -> str:
     """Return what the nominal and the extended model leave of the force of a log, in words."""
     if error.of_models is None:
         return ''
-    nominal, extended = (f'{100.0 * one:.3g} %' for one in error.of_models)
+    nominal, extended = (f'{significant(100.0 * one, 3)} %' for one in error.of_models)
     return f'; the nominal model leaves {nominal}, the extended model {extended}'
 
 

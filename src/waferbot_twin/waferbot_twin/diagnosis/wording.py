@@ -289,8 +289,10 @@ def _other(diagnosis: Diagnosis, first: FoundCause) -> str:
 
 
 def _more(diagnosis: Diagnosis) -> str:
-    more = len(diagnosis.causes) - 1
-    return f'; {more} more {"causes" if more > 1 else "cause"} below' if more else ''
+    """Return how many causes have a name beside the first one, and how many are only possible."""
+    more, possible = len(diagnosis.causes) - 1, len(diagnosis.possible)
+    counted = [f'{more} more named' if more else '', f'{possible} possible' if possible else '']
+    return ''.join(f'; {one}' for one in [', '.join(filter(None, counted))] if one)
 
 
 def _left_in_validation(gains: Sequence[AxisGain]) -> str:

@@ -116,13 +116,18 @@ class AxisFit:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """The least squares of all axes of some logs; `titles` are what reports call the axes."""
+    """
+    The least squares of all axes of some logs.
+
+    `titles` are what reports call the axes, `notes` why some of them could not be fitted.
+    """
 
     fits: tuple[AxisFit, ...]
     logs: tuple[str, ...]
     validation: tuple[str, ...]
     titles: Mapping[str, str]
     options: Options = field(default_factory=Options)
+    notes: tuple[str, ...] = ()
 
 
 def identify_by_least_squares(
@@ -152,14 +157,13 @@ def identify_by_least_squares(
         fits = [
             replace(fit, notes=(*fit.notes, *coupled(fit.axis, logs, variant))) for fit in fits
         ]
-    if complaints:
-        fits[0] = replace(fits[0], notes=(*fits[0].notes, *complaints))
     return LeastSquares(
         tuple(fits),
         tuple(log.name for log in logs),
         tuple(log.name for log in validation),
-        USUAL_TITLES if variant is None else variant.titles,
+        {axis: (USUAL_TITLES if variant is None else variant.titles)[axis] for axis in axes},
         options,
+        tuple(complaints),
     )
 
 
@@ -249,8 +253,10 @@ def coupled(axis: str, logs: Sequence[MeasuredLog], variant: Variant) -> list[st
     ]
     if not others:
         return []
-    titles = ', '.join(variant.titles[other] for other in others)
-    return [f'{titles} moves as well: what that does here is left over, as each axis is by itself']
+    verb = 'moves' if len(others) == 1 else 'move'
+    return [
+        f'{listed(others)} {verb} as well: what that does here is left over, as each axis is by itself'
+    ]
 
 
 def _orders(axis: str, variant: Variant | None, options: Options) -> tuple[float, ...]:

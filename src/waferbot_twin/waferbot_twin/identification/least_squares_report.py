@@ -54,6 +54,7 @@ def as_dict(result: LeastSquares) -> dict[str, Any]:
         'method': 'least-squares',
         'logs': {'fitted': list(result.logs), 'judging': list(result.validation)},
         'axes': {fit.axis: _axis(fit) for fit in result.fits},
+        'notes': list(result.notes),
     }
 
 
@@ -175,7 +176,7 @@ def remarks(result: LeastSquares) -> list[str]:
             )
             said.append(f'{title}: left over with position: {", ".join(texts)}')
         said += [with_titles(f'{fit.axis}: {note}', result.titles) for note in fit.notes]
-    return said
+    return [*said, *(with_titles(note, result.titles) for note in result.notes)]
 
 
 def write(result: LeastSquares, folder: Path) -> None:

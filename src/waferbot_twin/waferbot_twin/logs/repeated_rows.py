@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from waferbot_twin.logs.findings import Finding
 from waferbot_twin.logs.hold import FEWEST_RUNS, run_length
 from waferbot_twin.logs.measured import Signal
+from waferbot_twin.plain_values import significant
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -212,7 +213,8 @@ def _said(
     )
     said = (
         f'{100.0 * held.repeated:.0f} % of the rows repeat the row before while the axis moves: '
-        f'readings change {every}, {reading_hz:.4g} times a second in {row_hz:.4g} rows a second'
+        f'readings change {every}, {significant(reading_hz)} times a second in '
+        f'{significant(row_hz)} rows a second'
     )
     others = [_rate_text(one, held) for one in group if one not in going]
     if others:
@@ -242,7 +244,7 @@ def _said(
 def _rate_text(signal: Signal, held: Stands) -> str:
     """Return how often a signal that does not go with the held ones changes in motion, in words."""
     share = float(np.mean(_changes(signal)[_in_motion(signal, held)]))
-    return f'{signal.kind} changes {share * signal.rate_hz:.4g} times a second'
+    return f'{signal.kind} changes {significant(share * signal.rate_hz)} times a second'
 
 
 def _ordinal(number: int) -> str:

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from waferbot_twin.envelope import draw_signal
-from waferbot_twin.plain_values import with_prefix
+from waferbot_twin.plain_values import significant, with_prefix
 from waferbot_twin.plot import scaled_unit
 from waferbot_twin.validation.gain import AxisGain
 
@@ -48,8 +48,16 @@ def draw_gains(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> Figure:
         panels[0][column].legend(fontsize=8, loc='best')
         factor, unit = scaled_unit(item.error_before, item.unit)
         for error, colour, label in (
-            (item.error_before, BEFORE, f'nominal, RMS {item.rms_before * factor:.3g} {unit}'),
-            (item.error_after, AFTER, f'extended, RMS {item.rms_after * factor:.3g} {unit}'),
+            (
+                item.error_before,
+                BEFORE,
+                f'nominal, RMS {significant(item.rms_before * factor, 3)} {unit}',
+            ),
+            (
+                item.error_after,
+                AFTER,
+                f'extended, RMS {significant(item.rms_after * factor, 3)} {unit}',
+            ),
         ):
             draw_signal(panels[1][column], item.time_s, error * factor, colour, label)
         panels[1][column].set_ylabel(f'simulated - measured [{unit}]')
@@ -75,8 +83,8 @@ def gain_table(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> str:
         factor, unit = with_prefix(max(item.rms_before, item.rms_after), item.unit)
         rows += (
             f'<tr><td>{html.escape(f"{item.log}, {titles[item.axis]}")}</td>'
-            f'<td>{factor * item.rms_before:.4g} {unit}</td>'
-            f'<td>{factor * item.rms_after:.4g} {unit}</td>'
+            f'<td>{significant(factor * item.rms_before)} {unit}</td>'
+            f'<td>{significant(factor * item.rms_after)} {unit}</td>'
             f'<td>{item.improvement_percent:.1f} %</td></tr>'
         )
     return (
