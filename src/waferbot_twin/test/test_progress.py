@@ -40,13 +40,20 @@ def test_what_is_short_is_quiet(capsys, clock):
 
 def test_one_line_is_enough(capsys, clock):
     reports = [(1.0, done, 100) for done in range(101)]
-    assert lines_of(capsys, clock, reports) == ['searching: about 98 s left']
+    assert lines_of(capsys, clock, reports) == ['searching: about 90 s left']
+
+
+def test_a_few_quick_steps_tell_nothing(capsys, clock):
+    """Of 1000 steps the first thirty take 0.1 s each, the others 1 s."""
+    reports = [(0.1 if done < 30 else 1.0, done, 1000) for done in range(101)]
+    (told,) = lines_of(capsys, clock, reports)
+    assert told == 'searching: about 8 min left'
 
 
 def test_what_was_before_the_first_report_does_not_count(capsys, clock):
     """Half a minute of compiling, then 1 s for each of 100."""
-    reports = [(30.0, 1, 100), (1.0, 2, 100), (1.0, 3, 100), (1.0, 4, 100)]
-    assert lines_of(capsys, clock, reports) == ['searching: about 97 s left']
+    reports = [(30.0, 1, 100), *((1.0, done, 100) for done in range(2, 13))]
+    assert lines_of(capsys, clock, reports) == ['searching: about 89 s left']
 
 
 def test_waiting_for_nodes_does_not_count(capsys, clock):
@@ -62,10 +69,10 @@ def test_too_little_to_tell_from(capsys, clock):
 
 def test_what_takes_twice_as_long_as_was_said_is_said_anew(capsys, clock):
     """Steps of 1 s that become steps of 10 s: the second estimate is that of the long ones."""
-    reports = [(1.0, done, 100) for done in range(5)]
-    reports += [(10.0, done, 100) for done in range(5, 101)]
+    reports = [(1.0, done, 100) for done in range(11)]
+    reports += [(10.0, done, 100) for done in range(11, 101)]
     assert lines_of(capsys, clock, reports) == [
-        'searching: about 98 s left',
+        'searching: about 90 s left',
         'searching: about 12 min left',
     ]
 
