@@ -99,6 +99,7 @@ def test_says_what_where_how_large_and_how_sure(nominal):
     [
         ({'x_rotate': (2.0, 0.5)}, 'in validation data 25 % of the RMS error is left.'),
         ({'x_rotate': (2.0, 0.5), 'y_linear': (1.0, 0.8)}, '25 to 80 % of the RMS error is left.'),
+        ({'x_rotate': (2.0, 0.008)}, 'less than 1 % of the RMS error is left.'),
         (
             {'x_rotate': (2.0, 0.5), 'y_rotate': (1.0, 1.5)},
             '25 to 150 % of the RMS error is left.',
@@ -121,7 +122,7 @@ def test_says_how_much_of_the_error_is_left(nominal, errors, said):
     [
         (1, 0, ''),
         (2, 0, '; 1 more named'),
-        (1, 2, '; 2 possible'),
+        (1, 2, '; 2 more possible'),
         (4, 1, '; 3 more named, 1 possible'),
     ],
 )

@@ -241,8 +241,10 @@ def sentence(diagnosis: Diagnosis) -> str:
         return f'No known cause explains these logs: {left}{may_be}.'
     first = diagnosis.causes[0]
     left_there = _left_in_validation(diagnosis.gains)
-    rest = _more(diagnosis) + left_there
+    rest = _more(diagnosis, and_possible=False) + left_there
+    all_others = _more(diagnosis) + left_there
     wordings: list[Callable[[], str]] = [
+        lambda: _first(diagnosis, first, True) + _other(diagnosis, first) + all_others,
         lambda: _first(diagnosis, first, True) + _other(diagnosis, first) + rest,
         lambda: _first(diagnosis, first, True) + rest,
         lambda: _first(diagnosis, first, False) + rest,
@@ -288,11 +290,13 @@ def _other(diagnosis: Diagnosis, first: FoundCause) -> str:
     return f'; else {others[0][0]}' if others else ''
 
 
-def _more(diagnosis: Diagnosis) -> str:
+def _more(diagnosis: Diagnosis, and_possible: bool = True) -> str:
     """Return how many causes have a name beside the first one, and how many are only possible."""
-    more, possible = len(diagnosis.causes) - 1, len(diagnosis.possible)
-    counted = [f'{more} more named' if more else '', f'{possible} possible' if possible else '']
-    return ''.join(f'; {one}' for one in [', '.join(filter(None, counted))] if one)
+    more = len(diagnosis.causes) - 1
+    possible = len(diagnosis.possible) if and_possible else 0
+    if not more:
+        return f'; {possible} more possible' if possible else ''
+    return f'; {more} more named' + (f', {possible} possible' if possible else '')
 
 
 def _left_in_validation(gains: Sequence[AxisGain]) -> str:
@@ -300,9 +304,9 @@ def _left_in_validation(gains: Sequence[AxisGain]) -> str:
     shares = sorted(100.0 - axis['improvement_percent'] for axis in gain_of_axes(gains).values())
     if not shares:
         return ''
-    low, high = f'{shares[0]:.0f}', f'{shares[-1]:.0f}'
-    how_much = low if low == high else f'{low} to {high}'
-    return f'; in validation data {how_much} % of the RMS error is left'
+    low, high = (percent_text(0.01 * share) for share in (shares[0], shares[-1]))
+    how_much = high if low == high else f'{low.removesuffix(" %")} to {high}'
+    return f'; in validation data {how_much} of the RMS error is left'
 
 
 def _left_over(diagnosis: Diagnosis) -> str:
