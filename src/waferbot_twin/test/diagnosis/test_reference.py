@@ -43,27 +43,29 @@ def log(name, phase):
     )
 
 
+def si(text):
+    """Return the number of a text with its unit, which may be in thousandths."""
+    number, unit = text.split(maxsplit=1)
+    return float(number) * (1e-3 if unit.startswith('m') else 1.0)
+
+
 def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
     reference = reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum)
     heavier = apply_all(pendulum, [Cause(find('wrong_inertia'), 'y_rotate', {'inertia': 0.02})])
     rows = {row['what']: row for row in reference_rows(reference, pendulum, heavier)}
-    assert float(rows['inertia']['value'].split()[0]) == pytest.approx(INERTIA, rel=0.01)
-    assert float(rows['Coulomb friction']['value'].split()[0]) == pytest.approx(
-        FRICTION_NM, rel=0.05
-    )
-    assert float(rows['sine, 1 per turn']['value'].split()[0]) == pytest.approx(
-        WEIGHT_NM, rel=0.01
-    )
+    assert si(rows['inertia']['value']) == pytest.approx(INERTIA, rel=0.01)
+    assert si(rows['Coulomb friction']['value']) == pytest.approx(FRICTION_NM, rel=0.05)
+    assert si(rows['sine, 1 per turn']['value']) == pytest.approx(WEIGHT_NM, rel=0.01)
     rubbing = apply_all(
         pendulum, [Cause(find('coulomb_friction'), 'y_rotate', {'friction': FRICTION_NM})]
     )
     rows_of_it = reference_rows(reference, pendulum, rubbing)
     forces = [row for row in rows_of_it if row['what'].startswith('constant-speed force')]
     for row, way in zip(forces, (1.0, -1.0), strict=True):
-        assert float(row['value'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=0.1)
-        assert float(row['extended'].split()[0]) == pytest.approx(way * FRICTION_NM, rel=1e-3)
-        assert float(row['nominal'].split()[0]) == pytest.approx(0.0, abs=1e-9)
-    nominal, extended = (float(rows['inertia'][key].split()[0]) for key in ('nominal', 'extended'))
+        assert si(row['value']) == pytest.approx(way * FRICTION_NM, rel=0.1)
+        assert si(row['extended']) == pytest.approx(way * FRICTION_NM, rel=1e-3)
+        assert si(row['nominal']) == pytest.approx(0.0, abs=1e-9)
+    nominal, extended = (si(rows['inertia'][key]) for key in ('nominal', 'extended'))
     assert nominal == pytest.approx(places.moving_inertia(pendulum, 'y_rotate'), rel=1e-3)
     assert extended == pytest.approx(nominal + 0.02, rel=1e-3)
     assert all(row['axis'] == 'Pendulum' for row in rows.values())

@@ -31,7 +31,7 @@ from waferbot_twin.residuals.from_recording import record_of_signals
 from waferbot_twin.residuals.problem import Cause, Problem, apply_all
 from waferbot_twin.suggestion.rivals import of_report, read_report
 from waferbot_twin.validation.gain import gains
-from waferbot_twin.validation.gain_report import draw_gains
+from waferbot_twin.validation.gain_report import change_text, draw_gains
 
 EVIL = '<script>alert("l")</script>'
 FRICTION_NM = 1.5
@@ -303,3 +303,11 @@ def test_an_envelope_loses_no_peak():
     assert greatest[-1] == 5.0
     assert least.min() == -2.0
     assert time_s[np.argmin(least)] == pytest.approx(12.345, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ('percent', 'said'),
+    [(99.88, 'over 99 %'), (100.0, '100 %'), (62.4, '62 %'), (-710.0, '710 %')],
+)
+def test_an_error_of_which_some_is_left_is_not_all_gone(percent, said):
+    assert change_text(percent) == said

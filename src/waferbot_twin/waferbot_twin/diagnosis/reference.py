@@ -17,6 +17,7 @@ import numpy as np
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.inverse_dynamics import InverseDynamics
 from waferbot_twin.diagnosis.force_error import force_error
+from waferbot_twin.diagnosis.wording import UserUnit
 from waferbot_twin.effects import places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.identification.least_squares import (
@@ -31,6 +32,9 @@ from waferbot_twin.logs.measured import MeasuredLog
 from waferbot_twin.plain_values import significant, with_prefix
 
 UNTOLD = 'these logs do not tell it'
+
+ROUNDING = 1e-9
+"""Of a number that is shown beside others of about 1."""
 
 
 def reference_of(
@@ -165,12 +169,13 @@ def _at_speed(fit: AxisFit, way: float, models: Sequence[float | None]) -> dict[
     force += sum(value for name, value in found.items() if name.startswith('cosine'))
     factor, unit = with_prefix(speed, f'{fit.length_unit}/s')
     known = bool(fit.estimate.determined.all())
+    shown = _shown_in(float(force), fit.force_unit)
     return {
         'what': f'constant-speed force, {significant(factor * speed, 2)} {unit}',
-        'value': _text(float(force), fit.force_unit) if known else UNTOLD,
+        'value': _text(float(force), shown) if known else UNTOLD,
         'interval': '',
-        'nominal': _text(models[0], fit.force_unit),
-        'extended': _text(models[1], fit.force_unit),
+        'nominal': _text(models[0], shown),
+        'extended': _text(models[1], shown),
     }
 
 
@@ -178,18 +183,28 @@ def _row(fit: AxisFit, place: int, models: Sequence[float | None]) -> dict[str, 
     found, name = fit.estimate, fit.estimate.names[place]
     unit = unit_of(name, fit)
     known = bool(found.determined[place])
-    low, high = (significant(float(end[place])) for end in (found.low95, found.high95))
+    value = float(found.value[place])
+    shown = _shown_in(value, unit)
+    low, high = (significant(shown.of(float(end[place]))) for end in (found.low95, found.high95))
     return {
         'what': label_of(name, fit),
-        'value': _text(float(found.value[place]), unit) if known else UNTOLD,
-        'interval': f'{low} to {high} {unit}' if known else '',
-        'nominal': _text(models[0], unit),
-        'extended': _text(models[1], unit),
+        'value': _text(value, shown) if known else UNTOLD,
+        'interval': f'{low} to {high} {shown.unit}' if known else '',
+        'nominal': _text(models[0], shown),
+        'extended': _text(models[1], shown),
     }
 
 
-def _text(value: float | None, unit: str) -> str:
-    return '' if value is None else f'{significant(value)} {unit}'
+def _shown_in(value: float, unit: str) -> UserUnit:
+    """Return the unit of a row: that in which its own value is above 1."""
+    return UserUnit(*with_prefix(value, unit))
+
+
+def _text(value: float | None, shown: UserUnit) -> str:
+    """Return a value of a row; what is nothing but rounding beside 1 in its unit is 0."""
+    if value is None:
+        return ''
+    return shown.text(value if abs(shown.of(value)) > ROUNDING else 0.0, 4)
 
 
 def reference_remarks(reference: LeastSquares) -> list[str]:

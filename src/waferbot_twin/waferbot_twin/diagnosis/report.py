@@ -50,6 +50,7 @@ from waferbot_twin.titles import with_titles
 from waferbot_twin.validation.gain import AxisGain, gain_of_axes
 from waferbot_twin.validation.gain_report import (
     HARDLY_PERCENT,
+    change_text,
     draw_gains,
     gain_table,
 )
@@ -324,7 +325,7 @@ def _validation_words(diagnosis: Diagnosis) -> str:
         return said + 'the extended model is not nearer to them than the nominal one.'
     titles = diagnosis.nominal.titles
     of_each = [
-        f'{abs(one):.0f} % {"smaller" if one >= 0.0 else "larger"} on {titles[axis]}'
+        f'{change_text(one)} {"smaller" if one >= 0.0 else "larger"} on {titles[axis]}'
         for axis, one in sorted(percent.items(), key=lambda item: -item[1])
     ]
     return said + f'the RMS error of the extended model is {", ".join(of_each)}.'

@@ -157,7 +157,7 @@ def remarks(result: LeastSquares) -> list[str]:
     said = []
     for fit in result.fits:
         title = result.titles[fit.axis]
-        said.append(f'{title}: filter {fit.cut_off_hz:.3g} Hz, 4th order, both ways')
+        said.append(f'{title}: behind a low-pass filter of {significant(fit.cut_off_hz, 3)} Hz')
         if fit.terms.rise_speed is not None:
             said.append(
                 f'{title}: what differs at rest fades with exp(-|speed| / '

@@ -73,7 +73,12 @@ def _how_much(item: AxisGain) -> str:
     percent = item.improvement_percent
     if abs(percent) < HARDLY_PERCENT:
         return 'as before'
-    return f'{abs(percent):.0f} % {"better" if percent > 0.0 else "worse"}'
+    return f'{change_text(percent)} {"better" if percent > 0.0 else "worse"}'
+
+
+def change_text(percent: float) -> str:
+    """Return how much of an error is gone, or has come, in whole percent; not all where some is left."""
+    return 'over 99 %' if 99.5 <= percent < 100.0 else f'{abs(percent):.0f} %'
 
 
 def gain_table(gains: Sequence[AxisGain], titles: Mapping[str, str]) -> str:
