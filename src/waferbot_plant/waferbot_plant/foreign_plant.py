@@ -10,8 +10,8 @@ It has the inputs and outputs of `signals` by name, or by a mapping of these nam
 
 Voltages, counts and line currents of all axes must be there or be mapped; open terminals, positions and
 speeds may be missing (then zeros are shown for the latter). FMI 2.0 and 3.0, co-simulation; variables
-are float64 (Real), outputs also whole numbers of any kind, as counts are. Counts that are no whole
-numbers are rounded by whoever sends them.
+are float64 (Real), outputs also whole numbers of any kind, as counts are; arrays (FMI 3.0) are none of
+these. Counts that are no whole numbers are rounded by whoever sends them.
 """
 
 from __future__ import annotations
@@ -135,6 +135,7 @@ class ForeignPlant:
         known = {variable.name: variable.valueReference for variable in description.modelVariables}
         roles = {variable.name: variable.causality for variable in description.modelVariables}
         types = {variable.name: variable.type for variable in description.modelVariables}
+        arrays = {variable.name for variable in description.modelVariables if variable.dimensions}
         missing = []
         inputs = (*voltages(self._layout), *terminals(self._layout))
         mapped = [one for one in (*inputs, *self._variables) if one.name in mapping]
@@ -147,6 +148,8 @@ class ForeignPlant:
                 missing.append(f'{role} {name!r}')
             elif types[name] not in (REALS if role == 'input' else (*REALS, *INTEGERS)):
                 missing.append(f'real {role} {name!r} (it is of type {types[name]})')
+            elif name in arrays:
+                missing.append(f'single {role} {name!r} (it is an array)')
         if missing:
             raise UserError(
                 f'--plant {self.file}: it has no {missing[0]}'
@@ -201,9 +204,16 @@ class ForeignPlant:
         return fmu
 
     def values(self) -> np.ndarray:
-        """Return counts, two line currents an axis, positions and speeds; see `parts`."""
-        for getter, present, outputs in self._outputs:
-            self._shown[present] = getattr(self._fmu, getter)(outputs)
+        """
+        Return counts, two line currents an axis, positions and speeds; see `parts`.
+
+        Raises `UserError` if the FMU does not give them, or not as finite numbers.
+        """
+        try:
+            for getter, present, outputs in self._outputs:
+                self._shown[present] = getattr(self._fmu, getter)(outputs)
+        except Exception as error:
+            raise UserError(f'--plant {self.file} gives no outputs: {error}') from error
         if not np.isfinite(self._shown).all():
             place = int(np.flatnonzero(~np.isfinite(self._shown))[0])
             raise UserError(

@@ -232,6 +232,41 @@ def test_an_fmu_with_other_names_is_mapped_and_what_is_missing_is_named(fmu):
         ForeignPlant(fmu('copley', '3', ()), {}, TIMING)
 
 
+WITH_AN_ARRAY = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="stage" instantiationToken="{an-array}">
+<CoSimulation modelIdentifier="stage"/>
+<ModelVariables>
+<Float64 name="u" valueReference="1" causality="input" start="0 0"><Dimension start="2"/></Float64>
+<Float64 name="y" valueReference="2" causality="output"><Dimension start="2"/></Float64>
+</ModelVariables>
+<ModelStructure><Output valueReference="2"/></ModelStructure>
+</fmiModelDescription>
+"""
+
+
+@pytest.mark.parametrize(
+    ('ours', 'theirs'), [('y_linear_voltage_1', 'u'), ('y_linear_counts', 'y')]
+)
+def test_an_array_is_no_signal_of_an_axis(tmp_path, ours, theirs):
+    """FMI 3.0 has arrays; one of them for one voltage would fail in the first tick, or before it."""
+    with zipfile.ZipFile(tmp_path / 'stage.fmu', 'w') as archive:
+        archive.writestr('modelDescription.xml', WITH_AN_ARRAY)
+    nothing = {variable.name: None for variable in voltages()} | {
+        variable.name: 0 for variable in (*counts(), *lines())
+    }
+    with pytest.raises(UserError, match=f"'{theirs}' \\(it is an array\\)"):
+        ForeignPlant(tmp_path / 'stage.fmu', nothing | {ours: theirs}, TIMING)
+
+
+def test_an_output_that_cannot_be_read_is_told_as_the_fault_of_the_fmu(fmu):
+    plant = ForeignPlant(fmu(), {}, TIMING)
+    (getter, present, references), *others = plant._outputs
+    plant._outputs = [(getter, present, [10**6] * len(references)), *others]
+    with pytest.raises(UserError, match=r'plant3\.fmu gives no outputs'):
+        plant.values()
+    plant.close()
+
+
 def test_what_is_no_fmu_is_refused_in_one_line(tmp_path, capsys):
     file = tmp_path / 'broken.fmu'
     for content in (b'', b'PK\x03\x04'):

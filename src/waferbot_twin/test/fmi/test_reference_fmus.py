@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.foreign_plant import ForeignPlant
 from waferbot_plant.signals import counts, lines, positions, voltages
@@ -27,6 +28,7 @@ TIMING = Timing()
 NOTHING = {variable.name: None for variable in voltages()} | {
     variable.name: 0 for variable in (*counts(), *lines())
 }
+NUMBERS = ('Real', 'Float64', 'Integer', 'Int32')
 
 pytestmark = pytest.mark.skipif(
     not FOLDER.is_dir(), reason='no Reference FMUs: WAFERBOT_REFERENCE_FMUS names their folder'
@@ -34,22 +36,23 @@ pytestmark = pytest.mark.skipif(
 
 
 def shown(name, fmi):
-    """Return up to three real outputs of a Reference FMU."""
+    """Return up to three outputs of a Reference FMU that are a number each."""
     description = fmpy.read_model_description(str(FOLDER / fmi / f'{name}.fmu'))
     return [
         one.name
         for one in description.modelVariables
-        if one.causality == 'output' and one.type in ('Real', 'Float64') and not one.dimensions
+        if one.causality == 'output' and one.type in NUMBERS and not one.dimensions
     ][:3]
 
 
 @pytest.mark.parametrize('fmi', ['2.0', '3.0'])
 @pytest.mark.parametrize(
-    'name', ['Dahlquist', 'VanDerPol', 'BouncingBall', 'Feedthrough', 'Stair']
+    'name', ['Dahlquist', 'VanDerPol', 'BouncingBall', 'Feedthrough', 'Stair', 'Resource']
 )
 def test_a_reference_fmu_steps_as_fmpy_steps_it(name, fmi):
     file = FOLDER / fmi / f'{name}.fmu'
     outputs = shown(name, fmi)
+    assert outputs
     names = NOTHING | {
         variable.name: theirs for variable, theirs in zip(positions(), outputs, strict=False)
     }
@@ -66,6 +69,20 @@ def test_a_reference_fmu_steps_as_fmpy_steps_it(name, fmi):
     )  # fmt: skip
     for place, output in enumerate(outputs):
         np.testing.assert_array_equal(mine[:, place], theirs[output][:ticks])
+
+
+@pytest.mark.parametrize(
+    ('name', 'signal', 'said'),
+    [
+        ('StateSpace', ('y_linear_voltage_1', 'u'), "'u' \\(it is an array\\)"),
+        ('StateSpace', ('y_linear_position', 'y'), "'y' \\(it is an array\\)"),
+        ('Clocks', ('y_linear_position', 'y'), 'no FMU for co-simulation'),
+    ],
+)
+def test_those_that_are_no_plant_are_refused_with_the_reason(name, signal, said):
+    ours, theirs = signal
+    with pytest.raises(UserError, match=said):
+        ForeignPlant(FOLDER / '3.0' / f'{name}.fmu', NOTHING | {ours: theirs}, TIMING)
 
 
 @pytest.mark.parametrize(('fmi', 'kind'), [('2.0', 'Real'), ('3.0', 'Float64')])
