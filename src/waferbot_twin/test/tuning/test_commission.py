@@ -11,6 +11,8 @@ from scipy import signal
 
 from waferbot_lockstep.errors import UserError
 from waferbot_lockstep.timing import Timing
+from waferbot_plant.description_file import whole_text
+from waferbot_plant.plant import description_source
 from waferbot_pmac.experiments import load_experiment
 from waferbot_twin.cli.main import main
 from waferbot_twin.effects.variant import Overlay, Variant
@@ -117,3 +119,13 @@ def test_the_command_writes_a_model_that_runs(tmp_path, capsys):
     assert 'give AXIS=HZ' in capsys.readouterr().err
     assert main([*arguments, '--bandwidth', 'y_linear=25']) == 1
     assert 'exists' in capsys.readouterr().err
+
+
+def test_what_is_wrong_in_a_description_is_told_with_its_file_and_line(tmp_path, capsys):
+    text = whole_text(description_source('ball_screw_stage'))
+    file = tmp_path / 'stage.yaml'
+    file.write_text(text.replace('pole_pairs:', 'poles:'), 'utf-8')
+    (line,) = [place for place, one in enumerate(text.split('\n'), 1) if 'pole_pairs:' in one]
+    arguments = ['commission', str(file), '--bandwidth', 'y_linear=25']
+    assert main([*arguments, '--out', str(tmp_path / 'model.yaml')]) == 1
+    assert f'{file}, line {line}: motors.y_linear.poles: unknown key' in capsys.readouterr().err

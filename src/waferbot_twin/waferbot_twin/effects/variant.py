@@ -27,7 +27,7 @@ from waferbot_lockstep.marked_yaml import SAFE_DUMPER, Document, merged, parse
 from waferbot_lockstep.timing import Timing
 from waferbot_plant.assembly import Assembly, assemble
 from waferbot_plant.description import Description
-from waferbot_plant.description_file import check, whole_text
+from waferbot_plant.description_file import check, load_description, whole_text
 from waferbot_plant.plant import Machine, description_source
 from waferbot_pmac.compensation import Table, load_tables
 from waferbot_pmac.i_variables import servo_parameters
@@ -88,8 +88,10 @@ class Variant:
     @classmethod
     def of(cls, model: Model) -> Variant:
         """Return a model as a variant; raises `UserError` for a description that is wrong."""
-        text = whole_text(description_source(model.description))
-        machine = parse(text, model.description.split('\n', 1)[0]).data
+        damping = str(model.parameters['plant'].get('damping', 'improved'))
+        source = description_source(model.description)
+        load_description(source, damping=damping)  # it tells in which line something is wrong
+        machine = parse(whole_text(source), model.description.split('\n', 1)[0]).data
         others = {
             node: {key: value for key, value in settings.items() if key not in model.layout.axes}
             for node, settings in model.parameters.items()
@@ -97,7 +99,7 @@ class Variant:
         return cls(
             model.name,
             machine,
-            str(model.parameters['plant'].get('damping', 'improved')),
+            damping,
             {axis: dict(values) for axis, values in model.of_axes('pmac').items()},
             {axis: dict(values) for axis, values in model.of_axes('copley').items()},
             others,
