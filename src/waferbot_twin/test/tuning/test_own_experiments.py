@@ -100,3 +100,16 @@ def test_the_command_writes_what_the_machine_runs(tmp_path, capsys):
     assert '--stroke is for --experiments' in capsys.readouterr().err
     assert main([*arguments, '--stroke', 'y_linear=far', '--force']) == 1
     assert 'give AXIS=LENGTH' in capsys.readouterr().err
+
+
+def test_a_machine_with_one_of_the_shipped_axes_gets_experiments_of_that_one(tmp_path):
+    model, folder = tmp_path / 'stage.yaml', tmp_path / 'experiments'
+    arguments = ['commission', 'ball_screw_stage', '--bandwidth', 'y_linear=25']
+    assert main([*arguments, '--out', str(model), '--experiments', str(folder)]) == 0
+    written = {file.stem: load_experiment(file).document.data for file in folder.glob('*.yaml')}
+    assert len(written) == 6 + 2
+    assert list(written['step']['motion']) == ['y_linear']
+    assert not [name for name in written if 'rotate' in name]
+    twin = Twin.of(load_model(str(model)), TIMING, load_experiment(folder / 'full_strokes.yaml'))
+    twin.advance(TIMING.ticks(0.3))
+    assert not twin.servo_state['killed'].any()

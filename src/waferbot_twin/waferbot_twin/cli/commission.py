@@ -71,7 +71,13 @@ def execute(options: argparse.Namespace) -> int:
         output = OutputFolder(options.experiments, options.force, option='--experiments')
     variant = Variant.of(load_model_or_machine(options.machine))
     found = commission(variant, bandwidths)
-    experiments = {} if output is None else own_experiments(found.description.axis_units, strokes)
+    # The names of the shipped machine all have a place; those it has no axis for cannot move.
+    units = {
+        axis: unit
+        for axis, unit in found.description.axis_units.items()
+        if axis in found.description.axes
+    }
+    experiments = {} if output is None else own_experiments(units, strokes)
     try:
         options.out.parent.mkdir(parents=True, exist_ok=True)
         write_text(options.out, found.text)
