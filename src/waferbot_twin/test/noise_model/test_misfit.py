@@ -16,11 +16,11 @@ SAMPLES = 6000
 SEED = 11
 
 
-def motions(random, logs=2):
+def motions(random, logs=2, samples=SAMPLES):
     """Return positions (m) and speeds (m/s) of some logs: sums of sines."""
     found = []
     for _ in range(logs):
-        time_s = np.arange(SAMPLES) / RATE_HZ
+        time_s = np.arange(samples) / RATE_HZ
         wave, phase = 2.0 * np.pi * random.uniform(0.2, 1.0, 3), random.uniform(0.0, 6.0, 3)
         angle = np.outer(time_s, wave) + phase
         found.append((0.1 * np.sin(angle).sum(axis=1), 0.1 * (wave * np.cos(angle)).sum(axis=1)))
@@ -92,6 +92,21 @@ def test_a_cause_has_to_gain_more_than_the_misfit_in_other_directions(random) ->
     # What is finer than these functions is no part of it.
     ripple = [np.cos(2000.0 * way) for way, _ in axes]
     assert power_along(left, ripple, logs).value < 1.5
+
+
+def test_misfit_is_seen_in_short_logs_as_well(random) -> None:
+    """In two logs of 0.8 s, with functions of every second point: not every log is long."""
+    axes = motions(random, samples=800)
+    logs = in_logs(axes)
+    columns = np.concatenate(logs[0].functions.columns)
+    assert 0 < columns.shape[1] <= 31
+    assert columns.T @ columns == pytest.approx(np.eye(columns.shape[1]), abs=1e-6)
+    noise = [random.standard_normal(len(speed)) for _, speed in axes]
+    change = [np.cos(20.0 * way) for way, _ in axes]
+    assert power_along(noise, change, logs).value < 2.5
+    lacks = [3.0 * np.sign(speed) * np.exp(-np.abs(speed) / 0.2) for _, speed in axes]
+    left = [one + other for one, other in zip(noise, lacks, strict=True)]
+    assert power_along(left, change, logs).value > 5.0
 
 
 def test_what_differs_from_log_to_log_is_noise(random) -> None:

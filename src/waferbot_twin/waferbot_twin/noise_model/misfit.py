@@ -52,7 +52,7 @@ ACCELERATIONS = (-1.0, -0.3, -0.1, -0.02, 0.0, 0.02, 0.1, 0.3, 1.0)
 """Points over its acceleration, likewise."""
 
 FEWEST = 10
-"""Samples for each function at least."""
+"""Samples for each function at least; with fewer, functions of every second point."""
 
 MEANS_HZ = 250.0
 """Rate of the means of samples on which all this is done: a state changes more slowly."""
@@ -78,10 +78,9 @@ class StateFunctions:
         nothing = [np.zeros((len(one), 0)) for one in states]
         if not np.all(np.ptp(whole, axis=0) > 0.0):
             return nothing
-        least, (_, fastest, hardest) = whole[:, 0].min(), np.abs(whole).max(axis=0)
-        way = np.linspace(least, whole[:, 0].max(), POSITIONS)
-        raw = [_functions(one, way, fastest, hardest) for one in states]
-        together = np.concatenate(raw)
+        together = _functions(whole, 1)
+        if len(together) < FEWEST * together.shape[1]:
+            together = _functions(whole, 2)
         if len(together) < FEWEST * together.shape[1]:
             return nothing
         size = np.linalg.norm(together, axis=0)
@@ -150,14 +149,20 @@ def _state(position: Array, rate_hz: float) -> Array:
     return np.column_stack([way + middle, speed, np.gradient(speed) * rate_hz])
 
 
-def _functions(state: Array, way: Array, fastest: float, hardest: float) -> Array:
+def _functions(state: Array, every: int) -> Array:
+    """Return functions of states (n, 3) in all logs, of every so many points."""
     position, speed, acceleration = state.T
-    over_way, slopes = _hats(position, way), _hats(speed, fastest * np.array(SLOPES))
-    harder = _hats(acceleration, hardest * np.array(ACCELERATIONS))
+    way = np.linspace(position.min(), position.max(), POSITIONS // every)
+
+    def hats(values: Array, shares: Sequence[float]) -> Array:
+        return _hats(values, np.abs(values).max() * np.array(shares[::every]))
+
+    over_way, slopes = _hats(position, way), hats(speed, SLOPES)
+    harder = hats(acceleration, ACCELERATIONS)
     return np.column_stack(
         [
             (over_way[:, :, None] * slopes[:, None, :]).reshape(len(state), -1),
-            _hats(speed, fastest * np.array(SPEEDS)),
+            hats(speed, SPEEDS),
             harder,
             harder * np.sign(speed)[:, None],
         ]
