@@ -24,6 +24,7 @@ from waferbot_twin.diagnosis.reference import reference_of
 from waferbot_twin.effects import find
 from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.library.known import read_known
+from waferbot_twin.logs.names import names_of
 from waferbot_twin.output_folder import OutputFolder
 from waferbot_twin.plain_values import finite
 from waferbot_twin.titles import with_titles
@@ -229,12 +230,15 @@ def _reference(
     model: Model, logs: Sequence[Log], validation: Sequence[Log], details: Details
 ) -> LeastSquares | None:
     """Return the least squares of logs; none where they cannot be read so, a diagnosis stands alone."""
+    several = [*logs, *validation]
+    names = names_of([log.path for log in several])
     try:
+        measured = [
+            dataclasses.replace(log.measured(model), name=name)
+            for log, name in zip(several, names, strict=True)
+        ]
         return reference_of(
-            [log.measured(model) for log in logs],
-            [log.measured(model) for log in validation],
-            details.nominal,
-            details.extended,
+            measured[: len(logs)], measured[len(logs) :], details.nominal, details.extended
         )
     except UserError:
         return None

@@ -186,18 +186,18 @@ def _least_squares(options: argparse.Namespace) -> int:
         write,
     )
     from waferbot_twin.logs.load import load_log
+    from waferbot_twin.logs.names import names_of
     from waferbot_twin.models import load_model_or_machine
 
     chosen = _options(options)
     variant = Variant.of(load_model_or_machine(options.model)) if options.model else None
     machine = variant.machine_text if variant is not None else None
-    logs, judges = (
-        [
-            load_log(path, options.mapping, machine=machine, name=path.name)
-            for path in paths
-        ]
-        for paths in (options.measured, options.validate)
-    )  # fmt: skip
+    paths = [*options.measured, *options.validate]
+    every = [
+        load_log(path, options.mapping, machine=machine, name=name)
+        for path, name in zip(paths, names_of(paths), strict=True)
+    ]
+    logs, judges = every[: len(options.measured)], every[len(options.measured) :]
     output = None if options.out is None else OutputFolder(options.out, options.force)
     result = identify_by_least_squares(logs, judges, variant, chosen)
     kept = keep(output, lambda folder: write(result, folder))
