@@ -20,7 +20,7 @@ from waferbot_twin.diagnosis.diagnose import FoundCause
 from waferbot_twin.diagnosis.diagnose import diagnose as diagnose_records
 from waferbot_twin.diagnosis.findings import no_findings
 from waferbot_twin.diagnosis.inference.settings import Settings
-from waferbot_twin.diagnosis.reference import reference_of
+from waferbot_twin.diagnosis.reference import contradictions, reference_of
 from waferbot_twin.effects import find
 from waferbot_twin.identification.least_squares import LeastSquares
 from waferbot_twin.library.known import read_known
@@ -215,6 +215,9 @@ def diagnose(
         settings,
         read_known(None if library is None else Path(library), machine),
     )
+    reference = _reference(model, logs, validation, details)
+    if reference is not None:
+        details.notes += contradictions(reference, details.settings.tolerated_loss)
     return Diagnosis(
         model,
         Model(details.extended),
@@ -222,7 +225,7 @@ def diagnose(
         details.verdict,
         tuple(with_titles(note, details.nominal.titles) for note in details.notes),
         details,
-        _reference(model, logs, validation, details),
+        reference,
     )
 
 

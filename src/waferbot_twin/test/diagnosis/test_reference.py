@@ -8,7 +8,12 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from waferbot_twin.diagnosis.reference import reference_of, reference_remarks, reference_rows
+from waferbot_twin.diagnosis.reference import (
+    contradictions,
+    reference_of,
+    reference_remarks,
+    reference_rows,
+)
 from waferbot_twin.effects import find, places
 from waferbot_twin.effects.variant import Variant
 from waferbot_twin.estimation.residual_curves import BinnedMeans
@@ -113,6 +118,19 @@ def test_it_is_judged_in_logs_that_were_not_fitted(pendulum):
     own, other, *_ = reference_remarks(reference)
     assert own.startswith('Pendulum in one: ')
     assert other.startswith('Pendulum in two (not used for the fit): ')
+
+
+def test_an_extended_model_that_the_forces_speak_against_is_told(pendulum):
+    def with_friction(friction_nm):
+        cause = Cause(find('coulomb_friction'), 'y_rotate', {'friction': friction_nm})
+        extended = apply_all(pendulum, [cause])
+        return reference_of([log('one', 0.2)], [log('two', 1.0)], pendulum, extended)
+
+    for friction_nm in (0.0, FRICTION_NM):
+        assert contradictions(with_friction(friction_nm), 0.02) == []
+    said = contradictions(with_friction(10.0 * FRICTION_NM), 0.02)
+    assert [line.startswith('the forces of Pendulum in ') for line in said] == [True, True]
+    assert all(' %' in line and 'e+' not in line for line in said)
 
 
 def test_where_no_speed_came_often_enough_there_is_no_force_at_one(pendulum):

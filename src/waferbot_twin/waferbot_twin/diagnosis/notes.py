@@ -47,6 +47,15 @@ def worse_with(nominal: Variant, cause: Cause) -> str:
     return f'{title(nominal, cause)} was withdrawn: {better}'
 
 
+def against_the_forces(axis: str, log: str, nominal: float, extended: float) -> str:
+    """Say that the extended model tells the forces of a log worse than the nominal one; both shares."""
+    of_extended, of_nominal = (f'{100.0 * one:.0f} %' for one in (extended, nominal))
+    return (
+        f'the forces of {axis} in {log} speak against what was found there: by inverse dynamics the '
+        f'extended model leaves {of_extended} of them, the nominal one {of_nominal}'
+    )
+
+
 def not_exact(nominal: Variant, block: str, axis: str) -> str:
     """Say that a block without noise leaves something over, so that nothing found there is sure."""
     return (

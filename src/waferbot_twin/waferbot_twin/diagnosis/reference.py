@@ -16,6 +16,7 @@ import numpy as np
 
 from waferbot_lockstep.errors import UserError
 from waferbot_plant.inverse_dynamics import InverseDynamics
+from waferbot_twin.diagnosis import notes as said
 from waferbot_twin.diagnosis.force_error import force_error
 from waferbot_twin.diagnosis.wording import UserUnit
 from waferbot_twin.effects import places
@@ -226,6 +227,21 @@ def _of_models(error: LogError) -> str:
         return ''
     nominal, extended = (f'{significant(100.0 * one, 3)} %' for one in error.of_models)
     return f'; the nominal model leaves {nominal}, the extended model {extended}'
+
+
+def contradictions(reference: LeastSquares, tolerated: float) -> list[str]:
+    """
+    Return where the extended model tells the forces of a log worse than the nominal one, in words.
+
+    By inverse dynamics, which asks no simulation: a mean square that rises by more than is `tolerated`
+    in closed loop, too.
+    """
+    return [
+        said.against_the_forces(reference.titles[fit.axis], one.log, *one.of_models)
+        for fit in reference.fits
+        for one in (*fit.fitted, *fit.validation)
+        if one.of_models and one.of_models[1] ** 2 > (1.0 + tolerated) * one.of_models[0] ** 2
+    ]
 
 
 def reference_dict(reference: LeastSquares | None) -> dict[str, Any] | None:
