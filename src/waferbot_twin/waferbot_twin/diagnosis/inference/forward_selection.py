@@ -425,8 +425,10 @@ def posterior_beside(
     Return the posterior of one effect, from fits of what the linear problem puts within reach.
 
     `present` has as its last cause what is there now, fitted with the others: from `base`, whose causes
-    have taken what they can of its work, a fit may not find back there. `also` have candidates as their
-    last causes that were fitted otherwise. None if nothing could be fitted.
+    have taken what they can of its work, a fit may not find back there. So what may be in its place is
+    also fitted from where it was screened, beside the others as they are (`CandidatePool.in_place_of`).
+    `also` have candidates as their last causes that were fitted otherwise. None if nothing could be
+    fitted.
     """
     problem, settings = pool.problem, pool.settings
     chosen = within_reach(problem, screened, settings)
@@ -436,6 +438,8 @@ def posterior_beside(
         chosen += [untempered(cause, 0.0) for cause in dense]
     known = pool.signatures_of(base) if present is None else pool.signatures_of(present)[:-1]
     refitted = pool.refits(base, chosen, known)
+    if present is not None:
+        refitted += pool.refits(evaluate(problem, present.causes[:-1]), chosen, known)
     refitted += [*also, *([present] if present is not None else [])]
     refitted = [
         one
