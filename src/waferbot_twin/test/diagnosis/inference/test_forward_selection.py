@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import pytest
 
 from waferbot_twin.diagnosis.inference import forward_selection
+from waferbot_twin.diagnosis.inference.refit import fitted
 from waferbot_twin.diagnosis.inference.settings import Settings
 from waferbot_twin.diagnosis.inference.single_effects import Member, SingleEffect, with_odds
+from waferbot_twin.effects import find
+from waferbot_twin.effects.variant import Variant
+from waferbot_twin.estimation.hypothesis import evaluate
+from waferbot_twin.models import load_model
+from waferbot_twin.residuals.problem import Cause
 
 
 def hypothesis(*names):
@@ -223,3 +230,35 @@ def test_what_everybody_fits_first_comes_with_a_second_sure_cause(
     # What was asked for before the usual came may be another one now.
     assert (frozenset() in pool.asked_beside) == (not come)
     assert frozenset(cause.name for cause in found.causes) in pool.asked_beside
+
+
+@pytest.mark.parametrize(
+    ('breakaway', 'speed'), [(1.5, 0.09), (2.3, 3e-4), (0.1, 3e-4), (0.5, 0.098)]
+)
+def test_what_is_in_place_of_a_cause_does_not_suffer_from_where_the_others_went_without_it(
+    pool_of, breakaway, speed
+):
+    """
+    Beside a Stribeck curve friction that changes along the way, by next to nothing, is Coulomb friction.
+
+    Without it the curve takes over what it can, with another size and at another speed, from where a fit
+    of Coulomb friction does not come back.
+    """
+    names = ('coulomb_friction', 'stribeck_friction', 'position_dependent_friction')
+    nominal = Variant.of(load_model('rigid'))
+    coulomb, stribeck = (
+        Cause(find(name), 'x_rotate', find(name).typical(nominal, 'x_rotate'))
+        for name in names[:2]
+    )
+    pool = pool_of('random_x_rotate', names, hidden=(coulomb, stribeck))
+    pool.begin(evaluate(pool.problem))
+    friction = coulomb.values['friction']
+    changes = {'mean': friction, 'cosine': 0.01, 'sine': -0.01, 'period': 2.0 * math.pi}
+    there = Cause(find(names[2]), 'x_rotate', changes, ('period',))
+    present = fitted(pool.problem, (stribeck, there))
+    without = stribeck.with_values({'breakaway': breakaway, 'speed': speed})
+    base = evaluate(pool.problem, (without,))
+    rivals = pool.in_place_of(present)
+    effect = forward_selection.posterior_beside(pool, base, rivals, present)
+    assert effect.best.cause.effect.name == 'coulomb_friction'
+    assert effect.best.cause.values['friction'] == pytest.approx(friction, rel=0.01)
