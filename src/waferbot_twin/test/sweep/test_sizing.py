@@ -65,7 +65,7 @@ def test_the_thermal_model_of_the_plant_ends_where_sizing_says(flexible):
     }  # fmt: skip
     variant = flexible.with_overlay(Overlay({'motors': {'x_rotate': {'heating': quick}}}))
     held = replace(load_experiment('constant'), duration_s=1.0)
-    rows = rows_of(size(variant, held, TIMING))
+    rows = rows_of(size(variant, held, TIMING).rows)
     twin = Twin.of(variant.model(), TIMING, held)
     twin.advance(TIMING.ticks(1.0))
     reached = float(twin.plant_state[0]['winding_temperature'][1])
@@ -76,7 +76,7 @@ def test_the_thermal_model_of_the_plant_ends_where_sizing_says(flexible):
 
 def test_an_axis_that_is_held_needs_the_torque_of_its_weight(flexible):
     held = replace(load_experiment('constant'), duration_s=0.2)
-    rows = rows_of(size(flexible, held, TIMING))
+    rows = rows_of(size(flexible, held, TIMING).rows)
     twin = Twin.of(flexible.model(), TIMING, held)
     forces = twin.machine.resting_state(twin.plant_parameters)  # the static equilibrium
     motor = flexible.description.motors['x_rotate']
@@ -111,7 +111,7 @@ def test_a_run_that_ends_badly_sizes_nothing(flexible):
 
 
 def test_the_largest_share_of_a_part_counts(flexible):
-    rows = size(flexible, replace(load_experiment('constant'), duration_s=0.05), TIMING)
+    rows = size(flexible, replace(load_experiment('constant'), duration_s=0.05), TIMING).rows
     shares = largest_shares(rows)
     assert shares['belt'] == max(row.share for row in rows if row.part == 'belt')
 
@@ -127,10 +127,38 @@ def test_a_sweep_measures_what_parts_bear(flexible):
     task = Task(flexible, (path,), 'step_y_rotate', measures)
     light, heavy = (evaluate(task, np.array([share * mass])) for share in (0.9, 1.01))
     assert light[1] == heavy[1] == ''
-    expected = rows_of(size(flexible, load_experiment('step_y_rotate'), TIMING))
+    expected = rows_of(size(flexible, load_experiment('step_y_rotate'), TIMING).rows)
     (same, _) = evaluate(task, np.array([mass]))
     assert same[1] == pytest.approx(expected['x_rotate', 'windings, repeated for ever'].value)
     assert light[0][1] < same[1] < heavy[0][1]  # it holds the weight
     assert same[2] == pytest.approx(100.0 * largest_shares(list(expected.values()))['x_rotate'])
     with pytest.raises(UserError, match="did you mean 'belt'"):
         check_measures(['load_percent.blet'], flexible)
+
+
+def test_the_duty_of_a_motor_is_what_its_rows_are_of(flexible, tmp_path, capsys):
+    """Force over speed of a move of 0.1 m at 0.2 m/s: its speed, the greatest force, the limits."""
+    motion = tmp_path / 'move.yaml'
+    motion.write_text(
+        'name: move\ndescription: one axis\nduration_s: 0.8\nmotion:\n  y_linear:\n'
+        '    - {kind: linear, start_s: 0.05, distance_m: 0.1, speed_m_per_s: 0.2,\n'
+        '       acceleration_time_s: 0.1, s_curve_time_s: 0.02}\n',
+        'utf-8',
+    )
+    found = size(flexible, load_experiment(motion), TIMING)
+    rows = rows_of(found.rows)
+    duty = next(one for one in found.duties if one.axis == 'y_linear')
+    assert (duty.speed_unit, duty.unit) == ('m/s', 'N')
+    assert len(duty.speed) == len(duty.force)
+    assert np.max(duty.speed) == pytest.approx(0.2, rel=0.05)
+    assert np.sum(duty.speed) / TIMING.current_loop_hz == pytest.approx(0.1, rel=0.01)
+    assert np.max(np.abs(duty.force)) == pytest.approx(rows['y_linear', 'peak force'].value)
+    assert duty.effective == pytest.approx(rows['y_linear', 'RMS force'].value)
+    assert duty.continuous == pytest.approx(duty.effective / rows['y_linear', 'RMS force'].share)
+    command = ['size', '--model', 'flexible', '--experiment', str(motion), '--out']
+    folder = tmp_path / 'sizing'
+    assert main([*command, str(folder), '--json']) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads((folder / 'sizing.json').read_text())
+    assert (folder / 'sizing.png').read_bytes().startswith(b'\x89PNG')
+    assert main([*command, str(folder)]) == 1
+    assert 'exists' in capsys.readouterr().err

@@ -4,20 +4,23 @@ Size motors, drives, belts and bearings: what an experiment asks of them, agains
 
 The experiment counts as a duty cycle that is repeated for ever: RMS and peak force or torque, copper
 loss, temperature of the windings in the steady state, I2T, voltage, loads of belts, cables, bearings.
-With --fail-above the exit code is 1 if anything is above its limit.
+With --fail-above the exit code is 1 if anything is above its limit. --out keeps it, with force over
+speed of every motor as a picture.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import asdict
+from pathlib import Path
 
 from waferbot_twin.cli.console import new_table, print_json, result_console
-from waferbot_twin.plain_values import finite, significant
+from waferbot_twin.cli.keeping import keep
+from waferbot_twin.output_folder import OutputFolder
+from waferbot_twin.plain_values import significant
 
 EXAMPLES = (
-    'waferbot size --model as_built --experiment wafer_exchange',
+    'waferbot size --model as_built --experiment wafer_exchange --out sizing',
     'waferbot size --model flexible --experiment step_y_rotate --json',
 )
 """What `--help` shows; tests run them."""
@@ -35,6 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--fail-above', action='store_true', help='exit with 1 if anything is above its limit'
     )
+    parser.add_argument(
+        '--out', type=Path, metavar='DIR', help='a new folder for result and picture'
+    )
+    parser.add_argument('--force', action='store_true', help='replace what is at --out')
     parser.add_argument('--json', action='store_true', help='print the result as JSON')
 
 
@@ -44,20 +51,29 @@ def execute(options: argparse.Namespace) -> int:
     from waferbot_pmac.experiments import load_experiment
     from waferbot_twin.effects.variant import Variant
     from waferbot_twin.models import load_model
-    from waferbot_twin.sweep.sizing import largest_shares, size
+    from waferbot_twin.sweep import sizing_report
+    from waferbot_twin.sweep.sizing import size
 
     variant = Variant.of(load_model(options.model))
-    rows = size(variant, load_experiment(options.experiment), Timing())
-    above = [part for part, share in largest_shares(rows).items() if share > 1.0]
+    experiment = load_experiment(options.experiment)
+    output = None if options.out is None else OutputFolder(options.out, options.force)
+    found = size(variant, experiment, Timing())
+    title = f'{experiment.name} on {variant.name}, repeated for ever'
+    kept = keep(output, lambda folder: sizing_report.write(found, title, variant.titles, folder))
+    result = sizing_report.as_dict(found)
+    above = result['above']
+    code = kept.tell(f'picture: {{}}/{sizing_report.FILES[1]}') or int(
+        bool(above) and options.fail_above
+    )
     if options.json:
-        print_json({'rows': [dict(finite(asdict(row))) for row in rows], 'above': above})
-        return int(bool(above) and options.fail_above)
+        print_json(result)
+        return code
     table = new_table('part', 'what', 'value', 'unit', 'limit', 'share')
     for column in table.columns[1:5:3]:
         column.justify = 'left'
-    for row in rows:
+    for row in found.rows:
         share = f'{100.0 * row.share:.0f} %' if math.isfinite(row.share) else ''
         table.add_row(row.part, row.what, significant(row.value, 4), row.unit, row.limit, share)
     result_console.print(table)
     print(f'above its limit: {", ".join(above)}' if above else 'nothing is above its limit')
-    return int(bool(above) and options.fail_above)
+    return code

@@ -90,7 +90,7 @@ def evaluate(task: Task, point: np.ndarray) -> Found:
         found = behave(variant, experiment, Timing())
         alive = all(one.alive for one in found.values())
         asked = alive and any(one.partition('.')[0] in OF_PARTS for one in task.measures)
-        rows = size(variant, experiment, Timing()) if asked else []
+        rows = size(variant, experiment, Timing()).rows if asked else []
     except UserError as error:
         return [math.nan] * len(task.measures), str(error)
     values = []

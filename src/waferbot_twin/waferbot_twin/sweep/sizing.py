@@ -39,7 +39,8 @@ from waferbot_twin.effects.places import motor_force_unit, motor_rotary
 from waferbot_twin.effects.variant import Overlay, Variant
 from waferbot_twin.engines.inprocess import Runaway, Signals, Twin
 from waferbot_twin.metrics import rms
-from waferbot_twin.response import simulated_responses
+from waferbot_twin.noise_model.motion_basis import smooth
+from waferbot_twin.response import AxisResponse, simulated_responses
 from waferbot_twin.validity import Validity
 
 WINDINGS = 'windings, repeated for ever'
@@ -62,7 +63,33 @@ class Row:
     share: float
 
 
-def size(variant: Variant, experiment: Experiment, timing: Timing) -> list[Row]:
+@dataclass(frozen=True)
+class Duty:
+    """
+    Speed of an axis and force of its motor over a duty cycle, (n,) each, in `speed_unit` and `unit`.
+
+    `effective` is the RMS force, `continuous` and `peak` what the drive makes for long and for a while.
+    """
+
+    axis: str
+    speed: np.ndarray
+    force: np.ndarray
+    speed_unit: str
+    unit: str
+    effective: float
+    continuous: float
+    peak: float
+
+
+@dataclass(frozen=True)
+class Sizing:
+    """What the parts of a machine bear, and the duty of each of its motors."""
+
+    rows: list[Row]
+    duties: list[Duty]
+
+
+def size(variant: Variant, experiment: Experiment, timing: Timing) -> Sizing:
     """Return what the parts of a model bear in a run; raises `UserError` if it does not end well."""
     model = variant.model()
     twin = Twin.of(model, timing, experiment)
@@ -82,12 +109,12 @@ def size(variant: Variant, experiment: Experiment, timing: Timing) -> list[Row]:
             'in such a run says nothing'
         )
     signals.note_validity(validity)
-    rows = _of_motors(variant, twin, signals)
+    rows, duties = _of_motors(variant, twin, signals)
     motors = {f'motor {axis}' for axis in twin.layout.axes} | set(twin.layout.axes)
     for found in validity.extremes():
         if found.check.place not in motors or 'I2T' in found.check.what:
             rows.append(_of_part(found))
-    return rows
+    return Sizing(rows, duties)
 
 
 def largest_shares(rows: list[Row]) -> dict[str, float]:
@@ -99,8 +126,9 @@ def largest_shares(rows: list[Row]) -> dict[str, float]:
     return found
 
 
-def _of_motors(variant: Variant, twin: Twin, signals: Signals) -> list[Row]:
-    rows = []
+def _of_motors(variant: Variant, twin: Twin, signals: Signals) -> tuple[list[Row], list[Duty]]:
+    rows: list[Row] = []
+    duties: list[Duty] = []
     for place, (axis, response) in enumerate(
         zip(twin.layout.axes, simulated_responses(twin, signals), strict=True)
     ):
@@ -130,10 +158,23 @@ def _of_motors(variant: Variant, twin: Twin, signals: Signals) -> list[Row]:
             Row(axis, 'voltage between terminals', across, 'V', f'{bus:.4g} V, bus', across / bus),
             Row(axis, 'copper loss, cold', loss, 'W', '', math.nan),
         ]  # fmt: skip
+        duties.append(
+            Duty(
+                axis, _speed(response), constant * current, f'{response.unit}/s', unit,
+                constant * effective, constant * continuous, constant * peak,
+            )
+        )  # fmt: skip
         heating = heating_of(variant, axis)
         if heating is not None:
             rows.append(_of_heating(axis, heating, loss))
-    return rows
+    return rows, duties
+
+
+def _speed(response: AxisResponse) -> np.ndarray:
+    """Return the speed of an axis at the times of its current (n,), without the steps of its counts."""
+    way = smooth(response.position - response.position.mean())
+    speed = np.gradient(way, response.encoder_time)
+    return np.interp(response.tick_time, response.encoder_time, speed)
 
 
 def heating_of(variant: Variant, axis: str) -> Heating | None:
