@@ -76,6 +76,22 @@ def test_where_gravity_swings_the_axis_a_sine_stands_for_it(pendulum):
     assert all(row['axis'] == 'Pendulum' for row in rows.values())
 
 
+def test_each_of_several_axes_has_its_rows_under_its_own_name():
+    arm = Variant.of(load_model_or_machine('planar_two_link_arm'))
+    axes = ('x_rotate', 'y_rotate')
+    signals = [
+        replace(signal, axis=axis, value=factor * signal.value)
+        for axis, factor in zip(axes, (1.0, 0.5), strict=True)
+        for signal in log('one', 0.2).signals
+    ]
+    reference = reference_of([MeasuredLog('both', tuple(signals))], [], arm, arm)
+    rows = reference_rows(reference, arm, arm)
+    assert {row['axis'] for row in rows} == {arm.titles[axis] for axis in axes}
+    assert {line.split(' in ')[0] for line in reference_remarks(reference)[:2]} == {
+        arm.titles[axis] for axis in axes
+    }
+
+
 def test_where_another_axis_moves_least_squares_say_that_it_is_left_over():
     arm = Variant.of(load_model_or_machine('planar_two_link_arm'))
     both = [

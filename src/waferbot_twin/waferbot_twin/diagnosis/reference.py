@@ -65,7 +65,9 @@ def reference_of(
     if extended is not None:
         every = {log.name: log for log in (*logs, *validation)}
         fits = tuple(_beside_models(fit, every, (nominal, extended)) for fit in fits)
-    return replace(found[0], fits=fits)
+    titles = {axis: title for one in found for axis, title in one.titles.items()}
+    notes = tuple(dict.fromkeys(note for one in found for note in one.notes))
+    return replace(found[0], fits=fits, titles=titles, notes=notes)
 
 
 def _beside_models(
