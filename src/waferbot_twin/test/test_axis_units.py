@@ -92,8 +92,8 @@ def test_a_mass_that_slides_does_the_same_whatever_its_axis_is_called(axis: str)
             ), setting
         with pytest.raises(UserError, match=f'{name} is measured in m or counts'):
             Twin.of(variant.model(), TIMING, load_experiment(step_of(name, 'rad')))
-        found = size(variant, load_experiment(step_of(name)), TIMING)
-        words = {row.what for row in found.rows}
+        sized = size(variant, load_experiment(step_of(name)), TIMING)
+        words = {row.what for row in sized.rows}
         assert {'RMS force', 'peak force'} <= words
         tables = machine_tables(variant, {name: (0.0, 0.1)}, {name: 0.5})
         assert [table.over for table in tables] == ['position_m', 'speed_m_s']
