@@ -26,8 +26,8 @@ from waferbot_twin.plain_values import finite
 QUIET_S = 2.0
 """Of nothing shorter than this is progress told."""
 
-ENOUGH = ((QUIET_S, 0.1), (20.0, 0.01))
-"""Times, each with the share that must be done in it, before a remaining time is told."""
+ENOUGH, LONG_S, LEAST_SHARE = 0.1, 20.0, 0.01
+"""Share that must be done before a remaining time is told, and after so many seconds the least share."""
 
 LATE = 2.0
 """How many times what was said it may take before it is said anew."""
@@ -140,7 +140,7 @@ def _progress_line(what: str, of_what: str = '') -> Callable[[int, int], None]:
     """
     Return a function (done, total) that says once how long it will still take, `of_what`.
 
-    Counted from where `done` begins to rise: before that, something was compiled or started. `ENOUGH`
+    Counted from where `done` begins to rise: before that, something was compiled or started. Enough
     must be done, so that the estimate is not that of the first few steps, which may be others. Where
     steps get longer and it takes twice what was said, it says it again, from the steps since; not of
     what begins anew.
@@ -156,8 +156,8 @@ def _progress_line(what: str, of_what: str = '') -> Callable[[int, int], None]:
         if first is None or done <= first[1]:
             first = (now_s, done)
         elapsed_s, more = now_s - first[0], done - first[1]
-        enough = any(elapsed_s >= least_s and more >= share * total for least_s, share in ENOUGH)
-        if now_s < again_s or not enough or done >= total:
+        share = LEAST_SHARE if elapsed_s >= LONG_S else ENOUGH
+        if now_s < again_s or elapsed_s < QUIET_S or more < share * total or done >= total:
             return
         left_s = elapsed_s * (total - done) / more
         first, again_s = (now_s, done), now_s + LATE * left_s
